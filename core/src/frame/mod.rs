@@ -1,0 +1,89 @@
+//! Images as borrowed views. Pixels stay where the camera process put them.
+
+use core::fmt;
+
+/// Eight-bit grey image, rows `stride` bytes apart.
+#[derive(Clone, Copy, Debug)]
+pub struct ImageView<'a> {
+    pixels: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+/// The pixels do not cover `height` rows of `stride` bytes, or a row is shorter than the image is wide.
+///
+/// The caller handed in a truncated buffer: drop the frame and count it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImageTooShort {
+    /// Bytes that were there.
+    pub bytes: usize,
+    /// Bytes that the size asks for.
+    pub needed: usize,
+}
+
+impl fmt::Display for ImageTooShort {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "image has {} bytes, its size asks for {}", self.bytes, self.needed)
+    }
+}
+
+impl core::error::Error for ImageTooShort {}
+
+impl<'a> ImageView<'a> {
+    /// Borrows `pixels` as an image of `width` x `height` whose rows start every `stride` bytes.
+    ///
+    /// # Errors
+    /// [`ImageTooShort`] when the buffer cannot hold that size.
+    pub fn new(pixels: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self, ImageTooShort> {
+        let needed = match height {
+            0 => 0,
+            rows => stride.saturating_mul(rows - 1).saturating_add(width),
+        };
+        if stride < width || pixels.len() < needed {
+            return Err(ImageTooShort { bytes: pixels.len(), needed: needed.max(width) });
+        }
+        Ok(Self { pixels, width, height, stride })
+    }
+
+    /// Width, px.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height, px.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Bytes between the starts of two rows.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Row `y`; empty below the image.
+    pub fn row(&self, y: usize) -> &'a [u8] {
+        let start = y * self.stride;
+        self.pixels.get(start..start + self.width).unwrap_or(&[])
+    }
+}
+
+impl PartialEq for ImageView<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        (self.width, self.height) == (other.width, other.height)
+            && (0..self.height).all(|y| self.row(y) == other.row(y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_buffer_one_byte_short_is_refused() {
+        assert!(ImageView::new(&[0; 11], 4, 3, 4).is_err());
+        assert!(ImageView::new(&[0; 12], 4, 3, 4).is_ok());
+        assert!(ImageView::new(&[0; 12], 4, 3, 3).is_err(), "stride below width");
+        assert_eq!(ImageView::new(&[1, 2, 3, 4, 5, 6], 2, 2, 4).map(|v| v.row(1)), Ok([5, 6].as_slice()));
+    }
+}

@@ -1,0 +1,18 @@
+//! Everything of KiloGS that can be computed without the outside world.
+//!
+//! The folders follow the data: an image comes in at the top, a verified pose and a map entry come out
+//! at the bottom. Nothing here allocates, blocks, reads a clock or fails because of the outside world;
+//! memory is handed in by the caller and every bound is stated where the memory is taken.
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod conventions;
+
+pub mod frame;
+
+pub mod camera;
+pub mod math;
+pub mod storage;

@@ -1,0 +1,6 @@
+//! Small mathematics shared by the stages.
+
+pub mod rng;
+pub mod se3;
+
+pub use rng::Rng;

@@ -1,0 +1,1 @@
+//! Bounded containers on memory that the caller hands in.

@@ -1,0 +1,2 @@
+//! `kilogs`: the command line.
+fn main() {}

@@ -1,0 +1,3 @@
+//! The capture process as a library: where frames come from, and how they are published.
+
+pub mod source;

@@ -1,0 +1,2 @@
+//! `kilogs-camera`: the capture process.
+fn main() {}

@@ -1,0 +1,2 @@
+//! A static binary of `kilogs-core` without std.
+fn main() {}
