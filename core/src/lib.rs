@@ -13,6 +13,10 @@ pub mod conventions;
 
 pub mod frame;
 
+pub mod tracking;
+
+pub mod map;
+
 pub mod camera;
 pub mod math;
 pub mod storage;

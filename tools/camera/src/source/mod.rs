@@ -2,24 +2,7 @@
 
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::conventions::TimestampNs;
-
-/// How the bytes of a frame are to be read. The numbers are those of the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
-pub enum PixelFormat {
-    /// One grey byte per pixel.
-    Mono8 = 1,
-    /// Red, green, blue bytes.
-    Rgb8 = 2,
-    /// Blue, green, red bytes.
-    Bgr8 = 3,
-    /// Luma plane, then interleaved half-resolution chroma.
-    Nv12 = 4,
-    /// Packed 4:2:2, Y0 U Y1 V.
-    Yuyv = 5,
-    /// Bayer mosaic, first row red-green.
-    BayerRggb8 = 6,
-}
+pub use kilogs_core::frame::PixelFormat;
 
 /// What every frame of a source has in common.
 #[derive(Clone, Copy, Debug, PartialEq)]

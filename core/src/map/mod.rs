@@ -1,0 +1,5 @@
+//! The map: anchors on a hierarchical voxel grid, each relative to the keyframe that spawned it.
+
+pub mod anchor;
+
+pub use anchor::{AnchorHeader, GaussianParams};

@@ -1,0 +1,90 @@
+//! One frame through all tracking stages: the calculator's front door for the pipeline.
+
+use crate::conventions::{Rigid, TimestampNs};
+
+/// What became of a frame. Frames that never reached the tracker (`dropped`) are counted by the pipeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameStatus {
+    /// The pose was estimated and verified.
+    Tracked,
+    /// The pose is the motion model's prediction; the map must not learn from it.
+    Doubtful,
+    /// No pose that could be believed.
+    Lost,
+}
+
+/// What the pose was estimated with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PoseModel {
+    /// The first frame, which defines the world.
+    Origin,
+    /// Essential matrix with recovered scale.
+    Essential,
+    /// Perspective-n-point on window landmarks.
+    Pnp,
+    /// Either of the two on dense correspondences.
+    Dense,
+    /// Constant velocity; no image evidence.
+    Predicted,
+}
+
+/// The road as seen from a keyframe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RoadPlane {
+    /// Unit normal in camera axes, pointing from the camera to the road.
+    pub normal_in_camera: [f64; 3],
+    /// Distance of the camera's centre from the road, m.
+    pub height_m: f64,
+}
+
+/// A triangulated track as seen in the newest keyframe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeyframePoint {
+    /// Where the keyframe sees it, px.
+    pub pixel: [f32; 2],
+    /// Distance along the optical axis, m.
+    pub depth_m: f32,
+    /// Standard deviation of the inverse depth over the inverse depth.
+    pub relative_sigma: f32,
+}
+
+/// Everything there is to say about one frame, with the numbers that decided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameReport {
+    /// Index in the stream.
+    pub frame_index: u64,
+    /// Middle of the exposure.
+    pub timestamp_ns: TimestampNs,
+    /// Verdict.
+    pub status: FrameStatus,
+    /// What the pose came from.
+    pub model: PoseModel,
+    /// Whether this frame became a keyframe.
+    pub is_keyframe: bool,
+    /// Ordinal of the keyframe that the pose is relative to (itself, when it is one).
+    pub keyframe_ordinal: u32,
+    /// Pose relative to that keyframe.
+    pub keyframe_from_camera: Rigid,
+    /// Pose in the odometry world.
+    pub world_from_camera: Rigid,
+    /// Live tracks in this frame.
+    pub n_tracks: u32,
+    /// Matches that went into the solver.
+    pub n_matches: u32,
+    /// Matches that agree with the pose.
+    pub n_inliers: u32,
+    /// Matches that the dynamic filter removed.
+    pub n_dynamic: u32,
+    /// Median displacement against the last keyframe, px at full width.
+    pub median_flow_px: f32,
+    /// Turn against the prior, rad.
+    pub rotation_anomaly_rad: f32,
+    /// Angle between the axle's step and the vehicle's forward axis, rad; NaN when the step is too short to tell.
+    pub direction_anomaly_rad: f32,
+    /// Step length since the keyframe, m.
+    pub step_m: f32,
+    /// Ratio of the measured scale over the predicted one; NaN when it was not measured.
+    pub scale_ratio: f32,
+    /// Road points (or pixels) behind the scale.
+    pub n_road: u32,
+}
