@@ -1,5 +1,6 @@
 //! The map: anchors on a hierarchical voxel grid, each relative to the keyframe that spawned it.
 
 pub mod anchor;
+pub mod lod;
 
 pub use anchor::{AnchorHeader, GaussianParams};
