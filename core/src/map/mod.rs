@@ -2,5 +2,7 @@
 
 pub mod anchor;
 pub mod lod;
+pub mod pool;
+pub mod voxel;
 
 pub use anchor::{AnchorHeader, GaussianParams};
