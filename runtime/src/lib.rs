@@ -2,4 +2,11 @@
 //!
 //! Everything here allocates at start-up and then seals itself; `kilogs-core` does the calculating.
 
+pub mod budget;
+pub mod seal;
 pub mod splat;
+pub mod telemetry;
+
+#[cfg(test)]
+#[global_allocator]
+static ALLOCATOR: seal::CountingAllocator = seal::CountingAllocator;

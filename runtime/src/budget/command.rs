@@ -1,0 +1,75 @@
+//! `kilogs budget`: prints the memory plan.
+
+use super::{Budget, BudgetError, Plan, PlanInput};
+use std::path::PathBuf;
+
+/// Options of `kilogs budget`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example:\n  kilogs budget --check --size 1241x376 --pixel-bytes 1")]
+pub struct BudgetArgs {
+    /// Budget file, or the name of a built-in profile (memory_budget.toml, 1080p-2gib.toml, tiny.toml).
+    #[arg(long, value_name = "FILE")]
+    pub budget: Option<PathBuf>,
+    /// Only say whether the plan fits: nothing on success, the reason and exit code 2 otherwise.
+    #[arg(long)]
+    pub check: bool,
+    /// What the camera delivers.
+    #[command(flatten)]
+    pub camera: PlanCameraArgs,
+}
+
+/// The camera to plan for.
+#[derive(Debug, Clone, clap::Args)]
+pub struct PlanCameraArgs {
+    /// Width and height of the camera's image, px.
+    #[arg(long, value_name = "WxH", default_value = "1241x376", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// Bytes of a pixel on the wire: 1 for grey, 3 for color.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=4))]
+    pub pixel_bytes: u32,
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse::<u32>().ok()?, h.parse::<u32>().ok()?)));
+    match sides {
+        Some((width, height)) if (16..=16_384).contains(&width) && (16..=16_384).contains(&height) => {
+            Ok((width, height))
+        }
+        _ => Err("write width and height in pixels, 16 to 16384 each, such as 1241x376".to_owned()),
+    }
+}
+
+/// Prints the plan, then refuses one that does not fit.
+///
+/// # Errors
+/// [`BudgetError`] for a file that cannot be used and for a plan above its cap.
+pub fn run(args: &BudgetArgs, mapping_resolution: f64) -> Result<(), BudgetError> {
+    let budget = Budget::load(args.budget.as_deref())?;
+    let (width, height) = args.camera.size;
+    let input = PlanInput {
+        width,
+        height,
+        frame_bytes: u64::from(width) * u64::from(height) * u64::from(args.camera.pixel_bytes),
+        color_channels: if args.camera.pixel_bytes == 1 { 1 } else { 3 },
+        mapping_resolution,
+        device_has_own_memory: false,
+    };
+    let plan = Plan::compute(&budget, &input);
+    if !args.check {
+        println!("{plan}");
+    }
+    plan.check()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_two_sane_numbers() {
+        assert_eq!(parse_size("1241x376"), Ok((1241, 376)));
+        for wrong in ["", "1241", "1241x", "x376", "0x376", "99999x3", "-5x20", "12.5x20"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The rows a budget file must have, and what this version can do with each.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+
+/// Where the memory of a row lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Location {
+    /// This process's heap, or the capture process's for its own row.
+    Host,
+    /// The compute device; host memory when the backend has none of its own.
+    Device,
+    /// A host copy and a device copy; one copy when the backend has no memory of its own.
+    Both,
+    /// Shared memory between the capture process and this one.
+    Ipc,
+}
+
+impl Location {
+    pub(super) const ALL: [Self; 4] = [Self::Host, Self::Device, Self::Both, Self::Ipc];
+
+    /// As written in a budget file.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Host => "host",
+            Self::Device => "device",
+            Self::Both => "both",
+            Self::Ipc => "ipc",
+        }
+    }
+}
+
+/// What happens when a container is full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WhenFull {
+    /// The newcomer is not taken, and counted.
+    Refuse,
+    /// The oldest element makes room.
+    OverwriteOldest,
+    /// The element with the lowest score makes room.
+    EvictWorst,
+}
+
+impl WhenFull {
+    pub(super) const ALL: [Self; 3] = [Self::Refuse, Self::OverwriteOldest, Self::EvictWorst];
+
+    /// As written in a budget file and in `report.json`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Refuse => "refuse",
+            Self::OverwriteOldest => "overwrite-oldest",
+            Self::EvictWorst => "evict-worst",
+        }
+    }
+}
+
+/// One capacity of the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[allow(missing_docs, reason = "each row is described by `RowSpec::element`, which the table prints")]
+pub enum Row {
+    IpcFrameSlots,
+    TrackingPyramids,
+    TrackingCorners,
+    TrackingTracks,
+    TrackingMatches,
+    TrackingKeyframes,
+    TrackingLandmarks,
+    TrackingRoadPixels,
+    MapAnchors,
+    MapGaussiansPerAnchor,
+    MapVoxels,
+    MapKeyframes,
+    MapKeyframeImages,
+    MapChunks,
+    SplatVisibleGaussians,
+    SplatPairs,
+    SplatGradientBands,
+    SplatImageBuffers,
+    StorePageQueue,
+    StoreImageQueue,
+    StoreKeyframeTable,
+    TelemetryFrameRecords,
+    ProcessCodeAndStacks,
+    ProcessCameraChild,
+}
+
+/// What the program knows about a row before a file is read.
+#[derive(Debug)]
+pub struct RowSpec {
+    /// Which row.
+    pub row: Row,
+    /// Section of the file.
+    pub section: &'static str,
+    /// Name within the section.
+    pub name: &'static str,
+    /// What one element is.
+    pub element: &'static str,
+    /// Where this version can put it.
+    pub locations: &'static [Location],
+    /// What this version does when it is full.
+    pub when_full: WhenFull,
+    /// Capacities that the program can work with.
+    pub range: RangeInclusive<u64>,
+}
+
+const HOST: &[Location] = &[Location::Host];
+const BACKEND: &[Location] = &[Location::Both, Location::Device];
+
+macro_rules! rows {
+    ($($row:ident = [$section:literal . $name:literal], $element:literal, $locations:expr, $when_full:ident, $range:expr;)*) => {
+        /// Every row, in the order of the data flow.
+        pub static ROWS: [RowSpec; Row::COUNT] = [$(RowSpec {
+            row: Row::$row,
+            section: $section,
+            name: $name,
+            element: $element,
+            locations: $locations,
+            when_full: WhenFull::$when_full,
+            range: $range,
+        }),*];
+    };
+}
+
+rows! {
+    IpcFrameSlots = ["ipc"."frame_slots"], "a camera frame in shared memory", &[Location::Ipc], OverwriteOldest, 4..=64;
+    TrackingPyramids = ["tracking"."pyramids"], "a grey image with its smaller levels", HOST, OverwriteOldest, 3..=8;
+    TrackingCorners = ["tracking"."corners"], "a corner candidate", HOST, EvictWorst, 64..=1 << 20;
+    TrackingTracks = ["tracking"."tracks"], "a point followed from frame to frame", HOST, Refuse, 64..=1 << 16;
+    TrackingMatches = ["tracking"."matches"], "a correspondence of two views", HOST, Refuse, 64..=1 << 16;
+    TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window", HOST, OverwriteOldest, 3..=64;
+    TrackingLandmarks = ["tracking"."landmarks"], "a triangulated point of the window", HOST, EvictWorst, 64..=1 << 18;
+    TrackingRoadPixels = ["tracking"."road_pixels"], "a pixel of the road patch", HOST, Refuse, 256..=1 << 22;
+    MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers", BACKEND, Refuse, 64..=1 << 24;
+    MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;
+    MapVoxels = ["map"."voxels"], "a slot of the voxel hash", HOST, Refuse, 64..=1 << 26;
+    MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", HOST, OverwriteOldest, 4..=1 << 16;
+    MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on", HOST, OverwriteOldest, 2..=4096;
+    MapChunks = ["map"."chunks"], "a resident chunk", HOST, OverwriteOldest, 1..=1 << 12;
+    SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian", BACKEND, Refuse, 64..=1 << 26;
+    SplatPairs = ["splat"."pairs"], "a (tile, Gaussian) pair", BACKEND, Refuse, 64..=1 << 28;
+    SplatGradientBands = ["splat"."gradient_bands"], "gradients of every visible Gaussian from one band of the image", BACKEND, Refuse, 1..=64;
+    SplatImageBuffers = ["splat"."image_buffers"], "a float per pixel and channel of a rendered view", BACKEND, Refuse, 4..=64;
+    StorePageQueue = ["store"."page_queue"], "a page on its way to or from the disk", HOST, Refuse, 1..=64;
+    StoreImageQueue = ["store"."image_queue"], "a keyframe image on its way to the disk", HOST, Refuse, 1..=256;
+    StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe that the map knows", HOST, Refuse, 64..=1 << 24;
+    TelemetryFrameRecords = ["telemetry"."frame_records"], "a frame's figures on their way to the log", HOST, Refuse, 8..=1 << 20;
+    ProcessCodeAndStacks = ["process"."code_and_stacks"], "a byte of code, thread stacks, allocator slack, iceoryx2", HOST, Refuse, 1 << 20..=1 << 32;
+    ProcessCameraChild = ["process"."camera_child"], "a byte of the capture process beside the shared frames", HOST, Refuse, 1 << 20..=1 << 32;
+}
+
+impl Row {
+    /// How many rows there are.
+    pub const COUNT: usize = Self::ProcessCameraChild as usize + 1;
+
+    /// What the program knows about this row.
+    pub fn spec(self) -> &'static RowSpec {
+        &ROWS[self as usize]
+    }
+
+    /// The capacity counts bytes, so that a file may say `30 MiB`.
+    pub fn counts_bytes(self) -> bool {
+        matches!(self, Self::ProcessCodeAndStacks | Self::ProcessCameraChild)
+    }
+}
+
+impl fmt::Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let spec = self.spec();
+        f.pad(&format!("{}.{}", spec.section, spec.name))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_finds_its_own_description() {
+        for (idx, spec) in ROWS.iter().enumerate() {
+            assert_eq!(spec.row as usize, idx, "{}", spec.row);
+            assert!(!spec.locations.is_empty() && spec.range.start() > &0, "{}", spec.row);
+        }
+    }
+}

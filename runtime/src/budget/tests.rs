@@ -1,0 +1,182 @@
+//! The tables that hold the budget to its contract.
+
+use super::*;
+
+const COLOR_KITTI: PlanInput = PlanInput {
+    width: 1241,
+    height: 376,
+    frame_bytes: 1241 * 376 * 3,
+    color_channels: 3,
+    mapping_resolution: 0.5,
+    device_has_own_memory: false,
+};
+
+const FULL_HD: PlanInput = PlanInput { width: 1920, height: 1080, frame_bytes: 1920 * 1080 * 3, ..COLOR_KITTI };
+
+const TINY_CAMERA: PlanInput =
+    PlanInput { width: 128, height: 96, frame_bytes: 128 * 96, color_channels: 1, ..COLOR_KITTI };
+
+fn profile(name: &str) -> Budget {
+    let (_, text) = PROFILES.iter().find(|(known, _)| *known == name).expect("a built-in profile");
+    Budget::parse(text, name).unwrap_or_else(|error| panic!("{error}"))
+}
+
+#[test]
+fn every_built_in_profile_fits_the_camera_it_is_made_for() {
+    let check = |name: &str, input: &PlanInput, cap: u64| {
+        let budget = profile(name);
+        assert_eq!(budget.host_bytes(), cap, "{name}");
+        let plan = Plan::compute(&budget, input);
+        assert!(plan.check().is_ok(), "{name}: {}\n{plan}", plan.check().unwrap_err());
+    };
+    check("memory_budget.toml", &COLOR_KITTI, 512 << 20);
+    check("1080p-2gib.toml", &FULL_HD, 2 << 30);
+    check("tiny.toml", &TINY_CAMERA, 96 << 20);
+}
+
+#[test]
+fn a_larger_camera_does_not_fit_the_small_profile_and_the_message_says_which_row() {
+    let plan = Plan::compute(
+        &profile("memory_budget.toml"),
+        &PlanInput { width: 7680, height: 4320, frame_bytes: 99_532_800, ..COLOR_KITTI },
+    );
+    let message = plan.check().unwrap_err().to_string();
+    for part in ["memory_budget.toml", "host memory", "512 MiB", "takes", "raise host_bytes"] {
+        assert!(message.contains(part), "{part:?} is not in {message:?}");
+    }
+}
+
+/// The shipped default with one piece of text replaced.
+fn edited(from: &str, to: &str) -> Result<Budget, BudgetError> {
+    let text = PROFILES[0].1;
+    assert_eq!(text.matches(from).count(), 1, "{from:?} must stand exactly once in the default");
+    Budget::parse(&text.replace(from, to), "my.toml")
+}
+
+/// The default with the first line that starts with `key` in the table `row` replaced by `line`.
+fn with_line(row: &str, key: &str, line: &str) -> Result<Budget, BudgetError> {
+    let mut in_row = false;
+    let mut replaced = 0;
+    let lines: Vec<_> = PROFILES[0]
+        .1
+        .lines()
+        .map(|old| {
+            if old.starts_with('[') {
+                in_row = old == row;
+            }
+            if in_row && old.split('=').next().map(str::trim) == Some(key) {
+                replaced += 1;
+                return line;
+            }
+            old
+        })
+        .collect();
+    assert_eq!(replaced, 1, "{row} {key}");
+    Budget::parse(&lines.join("\n"), "my.toml")
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused_with_file_row_and_fix() {
+    let check = |result: Result<Budget, BudgetError>, parts: &[&str]| {
+        let message = result.expect_err(parts[0]).to_string();
+        assert!(message.starts_with("my.toml"), "{message}");
+        for part in parts {
+            assert!(message.contains(part), "{part:?} is not in {message:?}");
+        }
+    };
+    let anchors = |line| with_line("[map.anchors]", "capacity", line);
+    check(anchors("capacity = 0"), &["[map.anchors]", "zero", "choose 64"]);
+    check(anchors("capacity = -5"), &["[map.anchors]", "-5", "negative", "whole number"]);
+    check(anchors("capacity = 999999999999"), &["[map.anchors]", "out of range"]);
+    check(anchors("capacity = 99999999999999999999999999"), &["[map.anchors]", "too large"]);
+    check(anchors("capacity = \"many\""), &["[map.anchors]", "capacity is a string"]);
+    check(anchors("capacity = 1.5"), &["[map.anchors]", "capacity is a float"]);
+    check(
+        anchors("capacity = 4096\nsize = 3"),
+        &["[map.anchors]", "unknown key \"size\"", "capacity, where, when_full, why"],
+    );
+    check(anchors(""), &["[map.anchors] capacity", "missing", "add a line"]);
+    check(with_line("[map.anchors]", "where", "where = \"ipc\""), &["[map.anchors]", "ipc", "write both or device"]);
+    check(with_line("[map.anchors]", "where", "where = \"moon\""), &["[map.anchors]", "moon", "write both or device"]);
+    check(
+        with_line("[map.anchors]", "when_full", "when_full = \"evict-worst\""),
+        &["[map.anchors]", "not what this container can do", "\"refuse\""],
+    );
+    check(with_line("[map.anchors]", "when_full", "when_full = \"grow\""), &["[map.anchors]", "no policy"]);
+    check(with_line("[map.anchors]", "why", "why = \"\""), &["[map.anchors]", "why is empty"]);
+    check(with_line("[total]", "host_bytes", "host_bytes = 0"), &["[total]", "host_bytes is zero"]);
+    check(with_line("[total]", "host_bytes", "host_bytes = \"12 MB\""), &["[total]", "not a size"]);
+    check(
+        with_line("[total]", "host_bytes", "hostbytes = 5"),
+        &["[total]", "unknown key \"hostbytes\"", "host_bytes, device_bytes"],
+    );
+    check(
+        with_line("[process.camera_child]", "capacity", "capacity = \"1 B\""),
+        &["[process.camera_child]", "out of range"],
+    );
+    check(edited("[map.anchors]", "[map.anchor]"), &["[map]", "unknown key \"anchor\"", "anchors"]);
+    check(edited("[map.anchors]", "[maps.anchors]"), &["[maps]", "unknown section", "tracking"]);
+    check(edited("[total]", "[totals]"), &["[totals]", "unknown section"]);
+    check(edited("[total]", "[total"), &["not valid TOML"]);
+    check(Budget::parse("[total]\nhost_bytes = 1\ndevice_bytes = 1\n", "my.toml"), &["[ipc.frame_slots]", "missing"]);
+    check(Budget::parse("map = 3\n", "my.toml"), &["[map]", "not a table"]);
+}
+
+#[test]
+fn an_error_names_the_line() {
+    let line = PROFILES[0].1.lines().position(|line| line == "[map.anchors]").expect("the row") + 2;
+    let message = with_line("[map.anchors]", "capacity", "capacity = 0").unwrap_err().to_string();
+    assert!(message.starts_with(&format!("my.toml:{line}: ")), "{message}");
+}
+
+#[test]
+fn lowering_the_named_row_to_the_named_capacity_makes_the_plan_fit() {
+    let plan_of = |budget: &Budget| Plan::compute(budget, &COLOR_KITTI);
+    let too_large = with_line("[map.anchors]", "capacity", "capacity = 4000000").expect("in range");
+    let message = plan_of(&too_large).check().unwrap_err().to_string();
+    assert!(message.contains("[map.anchors] takes"), "{message}");
+    let capacity: u64 = message
+        .split("at most ")
+        .nth(1)
+        .and_then(|rest| rest.split(',').next())
+        .and_then(|number| number.parse().ok())
+        .unwrap_or_else(|| panic!("no capacity in {message}"));
+    let line = |capacity: u64| format!("capacity = {capacity}");
+    let with = |capacity| with_line("[map.anchors]", "capacity", &line(capacity)).expect("in range");
+    assert!(plan_of(&with(capacity)).check().is_ok(), "{message}");
+    assert!(plan_of(&with(capacity + 2)).check().is_err(), "{message}");
+}
+
+#[test]
+fn a_device_with_its_own_memory_has_its_own_cap() {
+    let budget = profile("memory_budget.toml");
+    let on_host = Plan::compute(&budget, &COLOR_KITTI);
+    let on_device = Plan::compute(&budget, &PlanInput { device_has_own_memory: true, ..COLOR_KITTI });
+    assert_eq!(on_host.device_bytes(), 0);
+    assert!(on_device.device_bytes() > 0 && on_device.host_bytes() < on_host.host_bytes() + on_device.device_bytes());
+    let small = with_line("[total]", "device_bytes", "device_bytes = \"1 MiB\"").expect("valid");
+    let message = Plan::compute(&small, &PlanInput { device_has_own_memory: true, ..COLOR_KITTI }).check().unwrap_err();
+    assert!(message.to_string().contains("device memory"), "{message}");
+}
+
+#[test]
+fn the_plan_adds_up_and_shows_every_row() {
+    let plan = Plan::compute(&profile("memory_budget.toml"), &COLOR_KITTI);
+    let by_hand: u64 = plan.rows().iter().map(|row| row.bytes_each * row.capacity).sum();
+    assert_eq!(plan.host_bytes(), by_hand + plan.ipc_bytes(), "shared frames are seen by two processes");
+    let shown = plan.to_string();
+    for spec in &ROWS {
+        assert!(shown.contains(&spec.row.to_string()), "{} is not in\n{shown}", spec.row);
+    }
+}
+
+#[test]
+fn a_file_beats_a_profile_of_the_same_name_and_a_missing_file_is_explained() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let path = dir.path().join("tiny.toml");
+    std::fs::write(&path, "[total]\n").expect("a file");
+    assert!(Budget::load(Some(&path)).is_err());
+    assert!(Budget::load(Some(Path::new("tiny.toml"))).is_ok());
+    let message = Budget::load(Some(&dir.path().join("none.toml"))).unwrap_err().to_string();
+    assert!(message.contains("none.toml") && message.contains("--budget"), "{message}");
+}

@@ -1,0 +1,99 @@
+//! The global allocator: the system's, with a count.
+//!
+//! This is the one place outside SIMD and drivers that needs `unsafe`: a global allocator is an unsafe trait, and
+//! only the global allocator sees every allocation of every thread.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
+
+/// Counts what it hands on to [`System`]. Install it in a binary with
+/// `#[global_allocator] static ALLOCATOR: CountingAllocator = CountingAllocator;`
+#[derive(Debug, Clone, Copy)]
+pub struct CountingAllocator;
+
+pub(super) static LIVE_BYTES: AtomicUsize = AtomicUsize::new(0);
+pub(super) static PEAK_BYTES: AtomicUsize = AtomicUsize::new(0);
+pub(super) static SEALED_ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+pub(super) static SEALED_FREES: AtomicU64 = AtomicU64::new(0);
+pub(super) static SEALED_BYTES: AtomicU64 = AtomicU64::new(0);
+pub(super) static TRACE_NEXT: AtomicBool = AtomicBool::new(false);
+
+/// What one thread may do and has done. Constant and without a destructor, so that reading it never allocates.
+pub(super) struct ThreadTag {
+    pub(super) is_sealed: Cell<bool>,
+    pub(super) allocations: Cell<u64>,
+    pub(super) frees: Cell<u64>,
+}
+
+thread_local! {
+    pub(super) static TAG: ThreadTag =
+        const { ThreadTag { is_sealed: Cell::new(false), allocations: Cell::new(0), frees: Cell::new(0) } };
+}
+
+// SAFETY: every method hands its arguments on to `System` unchanged and returns what `System` returns; the counting
+// around it touches only atomics and constant thread-local cells, so it neither allocates nor unwinds.
+unsafe impl GlobalAlloc for CountingAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count_allocation(layout.size());
+        // SAFETY: the caller keeps `GlobalAlloc::alloc`'s contract, which is also `System`'s.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count_allocation(layout.size());
+        // SAFETY: as in `alloc`; forwarded so that large zeroed blocks stay lazily mapped.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        count_free(layout.size());
+        count_allocation(new_size);
+        // SAFETY: the caller keeps `GlobalAlloc::realloc`'s contract, which is also `System`'s.
+        unsafe { System.realloc(pointer, layout, new_size) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count_free(layout.size());
+        // SAFETY: the caller keeps `GlobalAlloc::dealloc`'s contract, which is also `System`'s.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+fn count_allocation(bytes: usize) {
+    let live = LIVE_BYTES.fetch_add(bytes, Relaxed).wrapping_add(bytes);
+    PEAK_BYTES.fetch_max(live, Relaxed);
+    on_sealed_thread(|tag| {
+        tag.allocations.set(tag.allocations.get() + 1);
+        SEALED_ALLOCATIONS.fetch_add(1, Relaxed);
+        SEALED_BYTES.fetch_add(bytes as u64, Relaxed);
+        if TRACE_NEXT.swap(false, Relaxed) {
+            trace(tag, bytes);
+        }
+    });
+}
+
+fn count_free(bytes: usize) {
+    LIVE_BYTES.fetch_sub(bytes, Relaxed);
+    on_sealed_thread(|tag| {
+        tag.frees.set(tag.frees.get() + 1);
+        SEALED_FREES.fetch_add(1, Relaxed);
+    });
+}
+
+fn on_sealed_thread(count: impl FnOnce(&ThreadTag)) {
+    // A thread that is being torn down has no tag any more, and no seal either.
+    let _ = TAG.try_with(|tag| {
+        if tag.is_sealed.get() {
+            count(tag);
+        }
+    });
+}
+
+/// Prints where a sealed thread allocated; printing allocates too, so the seal is lifted meanwhile.
+#[cold]
+fn trace(tag: &ThreadTag, bytes: usize) {
+    tag.is_sealed.set(false);
+    eprintln!("sealed thread allocated {bytes} bytes here:\n{}", std::backtrace::Backtrace::force_capture());
+    tag.is_sealed.set(true);
+}
