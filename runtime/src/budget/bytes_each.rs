@@ -1,7 +1,7 @@
 //! What one element of each row costs. Sizes come from the types that are stored, never from the file.
 
 use super::{Budget, Row};
-use crate::splat::{AnchorHeader, GAUSSIAN_PARAMS};
+use kilogs_core::map::anchor::{AnchorHeader, GAUSSIAN_PARAMS};
 
 /// Granularity of shared memory and of the payload of a frame.
 const PAGE_BYTES: u64 = 4096;
