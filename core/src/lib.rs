@@ -17,6 +17,8 @@ pub mod tracking;
 
 pub mod map;
 
+pub mod store;
+
 pub mod camera;
 pub mod math;
 pub mod storage;

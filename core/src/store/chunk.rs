@@ -1,0 +1,196 @@
+//! A chunk's own part of the map: its decoder's parameters and the background that colors its sky.
+
+use super::record::{self, PREFIX_BYTES, RecordKind, RecordProblem};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// What a chunk covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct ChunkLabel {
+    /// Ordinal of the chunk in the map; names its file.
+    pub chunk_id: u32,
+    /// First keyframe of the chunk.
+    pub first_keyframe_id: u32,
+    /// Last keyframe of the chunk.
+    pub last_keyframe_id: u32,
+    /// How many times this chunk was written before (0 the first time).
+    pub revision: u32,
+}
+
+/// Parameters of the chunk's decoder, opaque to the store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DecoderParams<'a> {
+    /// What the bytes are; 0 stands for "explicit Gaussians, no decoder", with no bytes.
+    pub kind: u32,
+    /// The parameters, as that kind defines them.
+    pub bytes: &'a [u8],
+}
+
+impl DecoderParams<'_> {
+    /// Gaussians are stored as they are: nothing to decode.
+    pub const EXPLICIT: Self = Self { kind: 0, bytes: &[] };
+}
+
+/// Colors of what is infinitely far, by direction: rows of RGB texels in [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChunkBackground<'a> {
+    /// Texels per row; 0 for a chunk without a background.
+    pub width: u32,
+    /// RGB, `3 * width * rows` numbers; the mapping from direction to texel is the backend's.
+    pub rgb: &'a [f32],
+}
+
+impl ChunkBackground<'_> {
+    /// A chunk without a background.
+    pub const NONE: Self = Self { width: 0, rgb: &[] };
+}
+
+#[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+struct ChunkHeader {
+    chunk_id: u32,
+    first_keyframe_id: u32,
+    last_keyframe_id: u32,
+    revision: u32,
+    decoder_kind: u32,
+    decoder_bytes: u32,
+    background_width: u32,
+    background_values: u32,
+}
+
+const HEADER_END: usize = PREFIX_BYTES + size_of::<ChunkHeader>();
+
+/// Size of a chunk file, for buffers and budgets.
+pub const fn chunk_record_bytes(decoder_bytes: usize, background_values: usize) -> usize {
+    HEADER_END + decoder_bytes + background_values * size_of::<f32>()
+}
+
+/// Writes a chunk to the front of `memory`; returns its length, or `None` when it does not fit
+/// (see [`chunk_record_bytes`]) or the background is not whole rows of RGB.
+pub fn encode_chunk(
+    label: &ChunkLabel,
+    decoder: DecoderParams<'_>,
+    background: ChunkBackground<'_>,
+    memory: &mut [u8],
+) -> Option<usize> {
+    let header = ChunkHeader {
+        chunk_id: label.chunk_id,
+        first_keyframe_id: label.first_keyframe_id,
+        last_keyframe_id: label.last_keyframe_id,
+        revision: label.revision,
+        decoder_kind: decoder.kind,
+        decoder_bytes: u32::try_from(decoder.bytes.len()).ok()?,
+        background_width: background.width,
+        background_values: u32::try_from(background.rgb.len()).ok()?,
+    };
+    if !is_whole_rows(&header) {
+        return None;
+    }
+    let decoder_end = HEADER_END.checked_add(decoder.bytes.len())?;
+    let end = decoder_end.checked_add(size_of_val(background.rgb))?;
+    memory.get_mut(decoder_end..end)?.copy_from_slice(background.rgb.as_bytes());
+    memory.get_mut(HEADER_END..decoder_end)?.copy_from_slice(decoder.bytes);
+    memory.get_mut(PREFIX_BYTES..HEADER_END)?.copy_from_slice(header.as_bytes());
+    record::seal(RecordKind::Chunk, memory, end - PREFIX_BYTES)
+}
+
+fn is_whole_rows(header: &ChunkHeader) -> bool {
+    match header.background_width.checked_mul(3) {
+        Some(0) => header.background_values == 0,
+        Some(row) => header.background_values.is_multiple_of(row),
+        None => false,
+    }
+}
+
+/// A verified chunk file.
+#[derive(Clone, Copy, Debug)]
+pub struct ChunkView<'a> {
+    /// What the chunk covers.
+    pub label: ChunkLabel,
+    /// Its decoder.
+    pub decoder: DecoderParams<'a>,
+    /// Texels per row of its background; 0 when it has none.
+    pub background_width: u32,
+    background: &'a [u8],
+}
+
+impl ChunkView<'_> {
+    /// Numbers of the background (3 per texel).
+    pub fn background_values(&self) -> usize {
+        self.background.len() / size_of::<f32>()
+    }
+
+    /// Copies the background to the front of `rgb`, as much as fits; returns how many numbers that were.
+    pub fn read_background(&self, rgb: &mut [f32]) -> usize {
+        let n_values = rgb.len().min(self.background_values());
+        for (value, bytes) in rgb.iter_mut().zip(self.background.as_chunks().0) {
+            *value = f32::from_le_bytes(*bytes);
+        }
+        n_values
+    }
+}
+
+/// Verifies a whole chunk file.
+///
+/// # Errors
+/// [`RecordProblem`] when it is damaged; nothing of the chunk may be used.
+pub fn decode_chunk(bytes: &[u8]) -> Result<ChunkView<'_>, RecordProblem> {
+    const WRONG: RecordProblem = RecordProblem::Inconsistent { element: 0 };
+    let body = record::open(RecordKind::Chunk, bytes)?;
+    let (header, rest) = ChunkHeader::read_from_prefix(body).map_err(|_| WRONG)?;
+    let (decoder, background) = rest.split_at_checked(header.decoder_bytes as usize).ok_or(WRONG)?;
+    let counted = Some(background.len()) == (header.background_values as usize).checked_mul(size_of::<f32>());
+    if !counted || !is_whole_rows(&header) || bytes.len() != PREFIX_BYTES + body.len() {
+        return Err(WRONG);
+    }
+    Ok(ChunkView {
+        label: ChunkLabel {
+            chunk_id: header.chunk_id,
+            first_keyframe_id: header.first_keyframe_id,
+            last_keyframe_id: header.last_keyframe_id,
+            revision: header.revision,
+        },
+        decoder: DecoderParams { kind: header.decoder_kind, bytes: decoder },
+        background_width: header.background_width,
+        background,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::record::check_every_damage_is_noticed;
+    use super::*;
+
+    const LABEL: ChunkLabel = ChunkLabel { chunk_id: 2, first_keyframe_id: 200, last_keyframe_id: 299, revision: 1 };
+    const RGB: [f32; 12] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 0.25];
+
+    #[test]
+    fn decoder_and_background_come_back() {
+        // An odd number of decoder bytes leaves the background unaligned.
+        for (decoder, background) in [
+            (DecoderParams { kind: 7, bytes: &[1, 2, 3] }, ChunkBackground { width: 2, rgb: &RGB }),
+            (DecoderParams::EXPLICIT, ChunkBackground::NONE),
+        ] {
+            let mut memory = [0xa5; 200];
+            let length = encode_chunk(&LABEL, decoder, background, &mut memory).expect("it fits");
+            assert_eq!(length, chunk_record_bytes(decoder.bytes.len(), background.rgb.len()));
+            let view = decode_chunk(&memory[..length]).expect("undamaged");
+            assert_eq!((view.label, view.decoder, view.background_width), (LABEL, decoder, background.width));
+            let mut rgb = [-1.0; 13];
+            assert_eq!(view.read_background(&mut rgb), background.rgb.len());
+            assert_eq!(&rgb[..background.rgb.len()], background.rgb);
+            assert_eq!(rgb[12], -1.0);
+            check_every_damage_is_noticed(&memory[..length], |bytes| decode_chunk(bytes).map(|_| ()));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_or_is_no_table_is_refused() {
+        let table = ChunkBackground { width: 2, rgb: &RGB };
+        let needed = chunk_record_bytes(0, RGB.len());
+        let mut memory = [0; 200];
+        assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, table, &mut memory[..needed - 1]).is_none());
+        assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, table, &mut memory[..needed]).is_some());
+        let ragged = ChunkBackground { width: 2, rgb: &RGB[..9] };
+        assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, ragged, &mut memory).is_none());
+    }
+}
