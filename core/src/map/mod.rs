@@ -1,8 +1,10 @@
 //! The map: anchors on a hierarchical voxel grid, each relative to the keyframe that spawned it.
 
 pub mod anchor;
+pub mod insertion;
 pub mod lod;
 pub mod pool;
+pub mod spawn;
 pub mod voxel;
 
 pub use anchor::{AnchorHeader, GaussianParams};

@@ -1,0 +1,425 @@
+//! Where new Gaussians are worth their memory: structure of the camera image that the rendered map lacks.
+
+use crate::math::Rng;
+
+/// What decides how many samples a keyframe asks for, and where.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InsertionSettings {
+    /// Standard deviations of the two Gaussians of the difference, px at mapping resolution; (0, 4], ascending.
+    /// The paper does not publish its own.
+    pub sigmas_px: [f32; 2],
+    /// Weight of the difference of Gaussians in the probability, [0, 1]. Paper, section 3.3.1.
+    pub structure_weight: f32,
+    /// Weight of the normalised depth gradient, [0, 1]. Paper, section 3.3.1.
+    pub depth_edge_weight: f32,
+    /// Samples that an image seen for the first time asks for, as a share of its pixels; (0, 0.1].
+    pub samples_per_pixel: f32,
+    /// Probability of a pixel through which the background shows wholly, so that flat surfaces are covered; [0, 1].
+    pub bare_probability: f32,
+}
+
+impl InsertionSettings {
+    /// The values that the shipped maps were measured with.
+    pub const MEASURED: Self = Self {
+        sigmas_px: [1.0, 1.6],
+        structure_weight: 0.9,
+        depth_edge_weight: 0.1,
+        samples_per_pixel: 0.05,
+        bare_probability: 0.2,
+    };
+}
+
+/// Size of the images of one insertion, px.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MapImageSize {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl MapImageSize {
+    /// Number of pixels.
+    pub fn n_pixels(self) -> usize {
+        self.width * self.height
+    }
+}
+
+/// Radius beyond which a Gaussian's weight is below a thousandth.
+const KERNEL_RADIUS_SIGMAS: f32 = 3.0;
+/// Taps on one side of the widest allowed kernel.
+const MAX_KERNEL_RADIUS: usize = 12;
+
+/// Writes `|(G_s1 - G_s2) * luma|` to `structure`; borders repeat the outermost pixel.
+///
+/// All slices hold one value per pixel; luma is in [0, 1].
+///
+/// # Source
+/// The paper, section 3.3.1 (probabilistic insertion); separable Gaussians.
+pub fn difference_of_gaussians(
+    luma: &[f32],
+    size: MapImageSize,
+    sigmas_px: [f32; 2],
+    scratch: &mut [f32],
+    structure: &mut [f32],
+) {
+    blur(luma, size, sigmas_px[0], scratch, structure, |_, blurred| blurred);
+    blur(luma, size, sigmas_px[1], scratch, structure, |fine, coarse| (fine - coarse).abs());
+}
+
+/// Separable Gaussian; `combine(old output, blurred)` says what is written.
+fn blur(
+    luma: &[f32],
+    size: MapImageSize,
+    sigma_px: f32,
+    scratch: &mut [f32],
+    out: &mut [f32],
+    combine: impl Fn(f32, f32) -> f32,
+) {
+    let (kernel, radius) = gaussian_kernel(sigma_px);
+    let MapImageSize { width, height } = size;
+    for (row, target) in luma.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
+        for (x, value) in target.iter_mut().enumerate() {
+            *value = kernel
+                .iter()
+                .enumerate()
+                .take(radius + 1)
+                .map(|(tap, weight)| {
+                    let (left, right) = (x.saturating_sub(tap), (x + tap).min(width - 1));
+                    weight * (row.get(left).unwrap_or(&0.0) + row.get(right).unwrap_or(&0.0))
+                })
+                .sum();
+        }
+    }
+    for (y, target) in out.chunks_exact_mut(width).enumerate().take(height) {
+        for (x, value) in target.iter_mut().enumerate() {
+            let blurred = kernel
+                .iter()
+                .enumerate()
+                .take(radius + 1)
+                .map(|(tap, weight)| {
+                    let (above, below) = (y.saturating_sub(tap), (y + tap).min(height - 1));
+                    let at = |row: usize| scratch.get(row * width + x).copied().unwrap_or(0.0);
+                    weight * (at(above) + at(below))
+                })
+                .sum();
+            *value = combine(*value, blurred);
+        }
+    }
+}
+
+/// One side of a normalised kernel; the middle tap is halved because both sides read it.
+fn gaussian_kernel(sigma_px: f32) -> ([f32; MAX_KERNEL_RADIUS + 1], usize) {
+    let radius = (libm::ceilf(KERNEL_RADIUS_SIGMAS * sigma_px) as usize).clamp(1, MAX_KERNEL_RADIUS);
+    let mut kernel = [0.0; MAX_KERNEL_RADIUS + 1];
+    for (tap, weight) in kernel.iter_mut().enumerate().take(radius + 1) {
+        let sigmas = tap as f32 / sigma_px;
+        *weight = libm::expf(-0.5 * sigmas * sigmas) * if tap == 0 { 0.5 } else { 1.0 };
+    }
+    let sum: f32 = 2.0 * kernel.iter().sum::<f32>();
+    kernel.iter_mut().for_each(|weight| *weight /= sum);
+    (kernel, radius)
+}
+
+/// Writes the min-max normalised gradient of the logarithmic depth; pixels without depth (zero) have none.
+///
+/// Logarithmic, because the error of a depth grows with the depth: a gradient in metres would see nothing
+/// but the noise of the farthest surfaces.
+pub fn depth_edges(inverse_depth: &[f32], size: MapImageSize, edges: &mut [f32]) {
+    let MapImageSize { width, height } = size;
+    let at = |x: usize, y: usize| inverse_depth.get(y * width + x).copied().unwrap_or(0.0);
+    let relative = |from: f32, to: f32, middle: f32| {
+        let usable = from > 0.0 && to > 0.0 && middle > 0.0;
+        if usable { 0.5 * (to - from) / middle } else { 0.0 }
+    };
+    let mut largest = 0.0f32;
+    for (y, row) in edges.chunks_exact_mut(width).enumerate().take(height) {
+        for (x, edge) in row.iter_mut().enumerate() {
+            let along_x = relative(at(x.saturating_sub(1), y), at((x + 1).min(width - 1), y), at(x, y));
+            let along_y = relative(at(x, y.saturating_sub(1)), at(x, (y + 1).min(height - 1)), at(x, y));
+            *edge = libm::sqrtf(along_x * along_x + along_y * along_y).min(1.0);
+            largest = largest.max(*edge);
+        }
+    }
+    if largest > 0.0 {
+        edges.iter_mut().for_each(|edge| *edge /= largest);
+    }
+}
+
+/// `P = min(structure_weight * gain * DoG + depth_edge_weight * |grad D|, 1)`, the paper's eq. for insertion.
+fn probability(settings: &InsertionSettings, gain: f32, structure: f32, depth_edge: f32) -> f32 {
+    (settings.structure_weight * (gain * structure).min(1.0) + settings.depth_edge_weight * depth_edge).min(1.0)
+}
+
+/// What the camera and the rendered map show at mapping resolution, one value per pixel each.
+#[derive(Debug, Clone, Copy)]
+pub struct InsertionImages<'a> {
+    /// Size of all of them.
+    pub size: MapImageSize,
+    /// [`difference_of_gaussians`] of the camera image.
+    pub structure: &'a [f32],
+    /// [`depth_edges`] of the depth source.
+    pub depth_edges: &'a [f32],
+    /// [`difference_of_gaussians`] of the rendered image.
+    pub rendered_structure: &'a [f32],
+    /// [`depth_edges`] of the rendered depth.
+    pub rendered_depth_edges: &'a [f32],
+    /// Share of the background that the rendered map lets through, [0, 1].
+    pub transmittance: &'a [f32],
+    /// Confidence of the depth, [0, 1]; pixels at zero are never sampled.
+    pub confidence: &'a [f32],
+}
+
+/// A pixel that asks for a Gaussian.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct InsertionSample {
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// Standard deviation that covers the gap to the neighbouring samples, px.
+    pub sigma_px: f32,
+}
+
+/// Steps of the bisection for the gain; 2^-20 of the search interval.
+const GAIN_STEPS: usize = 20;
+/// Largest gain that is tried: a difference of a thousandth of the brightness already counts as structure.
+const MAX_GAIN: f32 = 1000.0;
+
+/// Gain at which the camera image alone asks for `samples_per_pixel`.
+///
+/// `kept` is scratch, one flag per pixel. The sum over the local maxima grows with the gain, so bisection finds it.
+fn calibrate_gain(images: &InsertionImages<'_>, settings: &InsertionSettings, kept: &[u8]) -> f32 {
+    let wanted = settings.samples_per_pixel * images.size.n_pixels() as f32;
+    let (mut low, mut high) = (0.0f32, MAX_GAIN);
+    for _ in 0..GAIN_STEPS {
+        let gain = 0.5 * (low + high);
+        let expected: f32 = images
+            .structure
+            .iter()
+            .zip(images.depth_edges)
+            .zip(kept)
+            .filter(|(_, kept)| **kept != 0)
+            .map(|((&structure, &edge), _)| probability(settings, gain, structure, edge))
+            .sum();
+        if expected < wanted {
+            low = gain;
+        } else {
+            high = gain;
+        }
+    }
+    high
+}
+
+/// Memory of [`sample`], one value per pixel each.
+#[derive(Debug)]
+pub struct SamplingScratch<'m> {
+    /// Probability of each pixel.
+    pub probability: &'m mut [f32],
+    /// Local maxima of the camera's structure.
+    pub kept: &'m mut [u8],
+}
+
+/// What an insertion asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sampled {
+    /// Samples written.
+    pub n_samples: usize,
+    /// Samples that found no room in the output.
+    pub n_refused: usize,
+    /// Gain at which the image alone asks for the configured number of samples.
+    pub gain: f32,
+}
+
+/// Draws the pixels that get a Gaussian: `P_kf = max(P - P_rendered, 0)` plus what shows through, thinned to
+/// the maxima of 3x3 neighbourhoods.
+///
+/// Samples come out in scan order; those beyond `samples.len()` are refused and counted.
+///
+/// # Source
+/// The paper, section 3.3.1; the term for bare pixels and the calibration of the gain are ours.
+pub fn sample(
+    images: &InsertionImages<'_>,
+    settings: &InsertionSettings,
+    rng: &mut Rng,
+    scratch: SamplingScratch<'_>,
+    samples: &mut [InsertionSample],
+) -> Sampled {
+    let SamplingScratch { probability: residual, kept } = scratch;
+    // A jitter far below any probability that matters breaks the ties of flat regions evenly.
+    const TIE_BREAK: f32 = 1e-4;
+    for (value, &structure) in residual.iter_mut().zip(images.structure) {
+        *value = structure + TIE_BREAK * rng.unit_f32();
+    }
+    mark_maxima(residual, images.size, kept);
+    let gain = calibrate_gain(images, settings, kept);
+    for (index, value) in residual.iter_mut().enumerate() {
+        let at = |image: &[f32]| image.get(index).copied().unwrap_or(0.0);
+        let seen = probability(settings, gain, at(images.structure), at(images.depth_edges));
+        let rendered = probability(settings, gain, at(images.rendered_structure), at(images.rendered_depth_edges));
+        let bare = settings.bare_probability * at(images.transmittance);
+        let wanted = ((seen - rendered).max(0.0) + bare).min(1.0);
+        *value = if at(images.confidence) > 0.0 { wanted } else { 0.0 };
+    }
+    let mut drawn = Sampled { gain, ..Sampled::default() };
+    for index in 0..images.size.n_pixels() {
+        let wanted = residual.get(index).copied().unwrap_or(0.0);
+        // The draw is made for every pixel, so that one pixel's probability does not move another's luck.
+        let luck = rng.unit_f32();
+        if kept.get(index).copied().unwrap_or(0) == 0 || luck >= wanted {
+            continue;
+        }
+        let (x, y) = (index % images.size.width, index / images.size.width);
+        let sigma_px = covering_sigma_px(images, settings, gain, kept, (x, y));
+        match samples.get_mut(drawn.n_samples) {
+            Some(slot) => {
+                *slot = InsertionSample { x: x as u16, y: y as u16, sigma_px };
+                drawn.n_samples += 1;
+            }
+            None => drawn.n_refused += 1,
+        }
+    }
+    drawn
+}
+
+/// Marks the pixels that no pixel of their 3x3 neighbourhood exceeds.
+fn mark_maxima(values: &[f32], size: MapImageSize, kept: &mut [u8]) {
+    let MapImageSize { width, height } = size;
+    for y in 0..height {
+        for x in 0..width {
+            let at = |x: usize, y: usize| values.get(y * width + x).copied().unwrap_or(f32::NEG_INFINITY);
+            let value = at(x, y);
+            let is_maximum = (y.saturating_sub(1)..(y + 2).min(height))
+                .all(|v| (x.saturating_sub(1)..(x + 2).min(width)).all(|u| at(u, v) <= value));
+            if let Some(flag) = kept.get_mut(y * width + x) {
+                *flag = u8::from(is_maximum);
+            }
+        }
+    }
+}
+
+/// Half side of the window in which the density of samples is counted, px.
+const DENSITY_RADIUS_PX: usize = 6;
+/// Standard deviation relative to the spacing of the samples: neighbours overlap at about one sigma.
+const SIGMA_PER_SPACING: f32 = 0.5;
+
+/// `1 / sqrt(density)` times a constant: the density is what the camera image asks for around the pixel, as if
+/// the map were empty, so that a late refinement of a covered surface is as fine as its texture.
+fn covering_sigma_px(
+    images: &InsertionImages<'_>,
+    settings: &InsertionSettings,
+    gain: f32,
+    kept: &[u8],
+    (x, y): (usize, usize),
+) -> f32 {
+    let MapImageSize { width, height } = images.size;
+    let (mut expected, mut n_pixels) = (0.0f32, 0usize);
+    for v in y.saturating_sub(DENSITY_RADIUS_PX)..(y + DENSITY_RADIUS_PX + 1).min(height) {
+        for u in x.saturating_sub(DENSITY_RADIUS_PX)..(x + DENSITY_RADIUS_PX + 1).min(width) {
+            let index = v * width + u;
+            n_pixels += 1;
+            if kept.get(index).copied().unwrap_or(0) != 0 {
+                let at = |image: &[f32]| image.get(index).copied().unwrap_or(0.0);
+                let seen = probability(settings, gain, at(images.structure), at(images.depth_edges));
+                expected += (seen + settings.bare_probability).min(1.0);
+            }
+        }
+    }
+    SIGMA_PER_SPACING * libm::sqrtf(n_pixels as f32 / expected.max(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec;
+    use std::vec::Vec;
+
+    const SIZE: MapImageSize = MapImageSize { width: 60, height: 40 };
+
+    /// A dark image with one speckled square, 10 px wide, at (20, 10).
+    fn square() -> Vec<f32> {
+        let mut rng = Rng::new(4, 5, 6);
+        (0..SIZE.n_pixels())
+            .map(|i| (i % SIZE.width, i / SIZE.width, rng.unit_f32()))
+            .map(|(x, y, luck)| if (20..30).contains(&x) && (10..20).contains(&y) { 0.2 + 0.8 * luck } else { 0.1 })
+            .collect()
+    }
+
+    fn structure(luma: &[f32]) -> Vec<f32> {
+        let (mut scratch, mut out) = (vec![0.0; luma.len()], vec![0.0; luma.len()]);
+        difference_of_gaussians(luma, SIZE, [1.0, 1.6], &mut scratch, &mut out);
+        out
+    }
+
+    fn drawn(seen: &[f32], rendered: &[f32], transmittance: f32, confidence: &[f32]) -> Vec<InsertionSample> {
+        let n = SIZE.n_pixels();
+        let (structure, rendered_structure) = (structure(seen), structure(rendered));
+        let images = InsertionImages {
+            size: SIZE,
+            structure: &structure,
+            depth_edges: &vec![0.0; n],
+            rendered_structure: &rendered_structure,
+            rendered_depth_edges: &vec![0.0; n],
+            transmittance: &vec![transmittance; n],
+            confidence,
+        };
+        let mut samples = vec![InsertionSample::default(); n];
+        let scratch = SamplingScratch { probability: &mut vec![0.0; n], kept: &mut vec![0; n] };
+        let found = sample(&images, &InsertionSettings::MEASURED, &mut Rng::new(1, 2, 3), scratch, &mut samples);
+        samples.truncate(found.n_samples);
+        samples
+    }
+
+    #[test]
+    fn structure_is_zero_on_a_plain_image_up_to_its_borders_and_large_at_an_edge() {
+        assert!(structure(&vec![0.7; SIZE.n_pixels()]).iter().all(|v| v.abs() < 1e-6));
+        let found = structure(&square());
+        let largest = found.iter().copied().fold(0.0, f32::max);
+        assert!(largest > 0.05 && found[15 * SIZE.width + 45] < 1e-4, "{largest}");
+    }
+
+    #[test]
+    fn a_map_that_shows_the_image_asks_for_nothing_and_an_empty_one_for_the_edges() {
+        let (image, sure) = (square(), vec![1.0; SIZE.n_pixels()]);
+        assert_eq!(drawn(&image, &image, 0.0, &sure), []);
+        let edges = drawn(&image, &vec![0.1; SIZE.n_pixels()], 0.0, &sure);
+        assert!(edges.len() > 4, "{} samples", edges.len());
+        assert!(edges.iter().all(|s| (15..35).contains(&s.x) && (5..25).contains(&s.y)), "{edges:?}");
+    }
+
+    #[test]
+    fn bare_pixels_are_covered_evenly_and_more_widely_than_texture() {
+        let (image, sure) = (square(), vec![1.0; SIZE.n_pixels()]);
+        let all = drawn(&image, &vec![0.1; SIZE.n_pixels()], 1.0, &sure);
+        let mean_sigma = |inside: bool| {
+            let near = |s: &&InsertionSample| ((18..32).contains(&s.x) && (8..22).contains(&s.y)) == inside;
+            let sigmas: Vec<f32> = all.iter().filter(near).map(|s| s.sigma_px).collect();
+            (sigmas.len(), sigmas.iter().sum::<f32>() / sigmas.len() as f32)
+        };
+        let ((n_texture, texture_px), (n_flat, flat_px)) = (mean_sigma(true), mean_sigma(false));
+        assert!(n_texture > 5 && n_flat > 20, "{n_texture} and {n_flat} samples");
+        assert!(flat_px > 1.2 * texture_px, "{flat_px} px against {texture_px} px");
+    }
+
+    #[test]
+    fn a_pixel_without_confidence_is_never_sampled() {
+        let doubtful_left: Vec<f32> = (0..SIZE.n_pixels()).map(|i| f32::from(i % SIZE.width >= 30)).collect();
+        let found = drawn(&square(), &vec![0.1; SIZE.n_pixels()], 1.0, &doubtful_left);
+        assert!(!found.is_empty() && found.iter().all(|s| s.x >= 30));
+    }
+
+    #[test]
+    fn depth_edges_are_where_the_depth_jumps_and_nowhere_without_depth() {
+        let inverse_depth: Vec<f32> = (0..SIZE.n_pixels())
+            .map(|i| match i % SIZE.width {
+                0..20 => 0.1,
+                20..40 => 0.05,
+                _ => 0.0,
+            })
+            .collect();
+        let mut edges = vec![9.0; SIZE.n_pixels()];
+        depth_edges(&inverse_depth, SIZE, &mut edges);
+        let row = &edges[10 * SIZE.width..11 * SIZE.width];
+        assert!(row[20] == 1.0 && row[10] == 0.0 && row[40] == 0.0 && row[50] == 0.0, "{row:?}");
+    }
+}
