@@ -3,7 +3,9 @@
 //! Everything here allocates at start-up and then seals itself; `kilogs-core` does the calculating.
 
 pub mod budget;
+pub mod config;
 pub mod seal;
+pub mod settings;
 pub mod splat;
 pub mod telemetry;
 

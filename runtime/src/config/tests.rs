@@ -1,0 +1,104 @@
+//! Defaults, files and single values, and what is refused of them.
+
+use super::schema::{SETTINGS, Setting};
+use super::*;
+use crate::settings::{DynamicFilter, PoseModels};
+
+/// Settings from a file's text (when there is one) and `--set` values.
+fn settings(file: Option<&str>, set: &[&str]) -> Result<Settings, ConfigError> {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let path = dir.path().join("my.toml");
+    if let Some(text) = file {
+        std::fs::write(&path, text).expect("a file");
+    }
+    load(&ConfigArgs { config: file.map(|_| path), set: set.iter().map(|&text| text.to_owned()).collect() })
+}
+
+#[test]
+fn the_defaults_are_valid_and_the_command_line_beats_the_file() {
+    let check = |file, set: &[&str], expected: (DynamicFilter, f64)| {
+        let found = settings(file, set).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((found.tracking.dynamic_filter, found.mapping.resolution), expected, "{file:?} {set:?}");
+    };
+    let file = "[tracking]\ndynamic_filter = \"off\"\n[mapping]\nresolution = 1\n";
+    check(None, &[], (DynamicFilter::Paper, 0.5));
+    check(Some(file), &[], (DynamicFilter::Off, 1.0));
+    check(Some(file), &["tracking.dynamic_filter=paper"], (DynamicFilter::Paper, 1.0));
+    check(Some(file), &["mapping.resolution = 0.25"], (DynamicFilter::Off, 0.25));
+    check(None, &["mapping.resolution=0.25", "mapping.resolution=1"], (DynamicFilter::Paper, 1.0));
+    check(None, &["tracking.dynamic_filter=\"off\""], (DynamicFilter::Off, 0.5));
+    assert_eq!(
+        settings(None, &["tracking.pose_models=pnp"]).map(|s| s.tracking.pose_models).ok(),
+        Some(PoseModels::Pnp)
+    );
+}
+
+#[test]
+fn a_bad_setting_names_key_value_range_and_origin() {
+    let check = |file, set: &[&str], parts: &[&str]| {
+        let message = settings(file, set).map(|_| ()).expect_err(parts[0]).to_string();
+        for part in parts {
+            assert!(message.contains(part), "{part:?} is not in {message:?}");
+        }
+    };
+    check(None, &["mapping.resolution=2"], &["--set", "mapping.resolution = 2", "[0.125, 1]"]);
+    check(None, &["mapping.resolution=nan"], &["--set", "mapping.resolution", "[0.125, 1]"]);
+    check(None, &["mapping.resolution=-0.5"], &["-0.5", "[0.125, 1]"]);
+    check(None, &["mapping.resolution=half"], &["half", "not a number"]);
+    check(None, &["mapping.enabled=maybe"], &["mapping.enabled", "neither true nor false"]);
+    check(None, &["tracking.matcher=orb"], &["tracking.matcher", "orb", "not a choice", "classical"]);
+    check(None, &["tracking.matcher=xfeat"], &["xfeat", "not available in this version", "classical"]);
+    check(None, &["tracking.dense_fallback=on"], &["not available in this version", "write off"]);
+    check(
+        None,
+        &["loop_closure.enabled=true"],
+        &["loop_closure.enabled", "not available in this version", "write false"],
+    );
+    check(None, &["mapping.resolutoin=1"], &["no setting mapping.resolutoin", "did you mean mapping.resolution?"]);
+    check(None, &["x=1"], &["no setting x", "tracking.pose_models", "loop_closure.enabled"]);
+    check(None, &["mapping.resolution"], &["--set", "has no ="]);
+    check(Some("[mapping]\nresolution = 7\n"), &[], &["my.toml", "mapping.resolution = 7", "[0.125, 1]"]);
+    check(Some("[mappings]\nresolution = 1\n"), &[], &["my.toml", "mappings.resolution", "did you mean"]);
+    check(Some("resolution = 1\n"), &[], &["my.toml", "outside a section"]);
+    check(Some("[mapping\n"), &[], &["my.toml", "not valid TOML", "line 1"]);
+    let missing = load(&ConfigArgs { config: Some("/nowhere/my.toml".into()), set: vec![] }).map(|_| ());
+    assert!(missing.unwrap_err().to_string().contains("/nowhere/my.toml"));
+}
+
+/// The comment lines right above each key of `default.toml`.
+fn documented() -> Vec<(String, String)> {
+    let (mut section, mut comment, mut found) = (String::new(), String::new(), vec![]);
+    for line in DEFAULT_TOML.lines() {
+        if let Some(name) = line.strip_prefix('[') {
+            section = name.trim_end_matches(']').to_owned();
+            comment.clear();
+        } else if let Some(text) = line.strip_prefix('#') {
+            comment.push_str(text);
+        } else if let Some((name, _)) = line.split_once('=') {
+            found.push((format!("{section}.{}", name.trim()), std::mem::take(&mut comment)));
+        }
+    }
+    found
+}
+
+#[test]
+fn default_toml_tells_people_what_the_program_checks() {
+    let documented = documented();
+    let keys: Vec<_> = documented.iter().map(|(key, _)| key.as_str()).collect();
+    let known: Vec<_> = SETTINGS.iter().map(|setting| setting.key).collect();
+    assert_eq!(keys, known, "default.toml and the program must know the same settings in the same order");
+    for (key, comment) in &documented {
+        let setting = Setting::find(key).expect("compared above");
+        let sorted_choices = || {
+            let list = comment.split("One of ").nth(1)?.split('.').next()?;
+            let mut words: Vec<_> = list.split(", ").collect();
+            words.sort_unstable();
+            Some(words.join(", "))
+        };
+        let words = setting.values_in_words();
+        assert!(
+            comment.contains(&words) || sorted_choices().as_deref() == Some(words.as_str()),
+            "{key}: the comment {comment:?} should say {words:?}"
+        );
+    }
+}
