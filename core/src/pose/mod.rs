@@ -1,0 +1,46 @@
+//! Where the second camera stood: from matches alone, or from matches with known depth.
+//!
+//! [`estimate_relative`] needs nothing but matches and leaves the length of the step open; [`estimate_pnp`]
+//! needs landmarks and returns metres. Both are robust, seeded and free of the heap.
+
+mod essential;
+mod five_point;
+mod p3p;
+mod pnp;
+mod polynomial;
+mod refine_pose;
+mod refine_relative;
+mod robust;
+mod triangulate;
+
+pub use essential::{RelativePose, decompose_essential, essential_of, sampson_distance};
+pub use five_point::five_point;
+pub use p3p::p3p;
+pub use pnp::{PnpEstimate, PnpSettings, TooFewLandmarks, estimate_pnp};
+pub use polynomial::real_roots;
+pub use refine_pose::{LandmarkMatch, PoseRefinement, refine_pose};
+pub use refine_relative::{RelativeRefinement, refine_relative};
+pub use robust::{RelativeEstimate, RelativeSettings, TooFewMatches, estimate_relative, trials_needed};
+pub use triangulate::{InverseDepth, Sighting, triangulate_inverse_depth};
+
+use nalgebra::Vector2;
+
+/// One scene point seen by two cameras, on the plane z = 1 of each.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Match {
+    /// In the first camera.
+    pub first_z1: Vector2<f64>,
+    /// In the second camera.
+    pub second_z1: Vector2<f64>,
+}
+
+/// Why an iteration ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The last step was negligible.
+    Converged,
+    /// The allowed number of iterations was used up.
+    StepLimit,
+    /// No step lowers the cost, or the equations are singular.
+    Stalled,
+}
