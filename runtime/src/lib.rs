@@ -4,6 +4,7 @@
 
 pub mod budget;
 pub mod config;
+pub mod output;
 pub mod seal;
 pub mod settings;
 pub mod splat;

@@ -1,0 +1,151 @@
+//! The output folder while a run goes on.
+
+use super::frame_log::{FrameLog, RelativePose};
+use super::keyframe_table::{KeyframeTable, PlacedKeyframe};
+use super::sink::TextSink;
+use super::trajectory::{self, TrajectorySummary};
+use super::{OutputError, StageTimes, frame_row};
+use kilogs_core::conventions::{Rigid, TimestampNs};
+use kilogs_core::tracking::{FrameReport, FrameStatus};
+use std::path::{Path, PathBuf};
+
+/// Frames by what became of them; `received = tracked + doubtful + lost + dropped`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCounts {
+    /// With a verified pose.
+    pub tracked: u64,
+    /// Tracked frames that became keyframes.
+    pub keyframes: u64,
+    /// With a predicted pose.
+    pub doubtful: u64,
+    /// Without a pose.
+    pub lost: u64,
+    /// Never reached the tracker.
+    pub dropped: u64,
+}
+
+impl FrameCounts {
+    /// All frames.
+    pub fn received(&self) -> u64 {
+        self.tracked + self.doubtful + self.lost + self.dropped
+    }
+}
+
+/// Writes the files that grow with the drive. Takes about 300 kB at the start and nothing per frame.
+#[derive(Debug)]
+pub struct OutputFolder {
+    dir: PathBuf,
+    frames_csv: TextSink,
+    odometry: TextSink,
+    frame_log: FrameLog,
+    keyframes: KeyframeTable,
+    counts: FrameCounts,
+}
+
+impl OutputFolder {
+    /// Makes the folder, if it is not there, and opens its files; files of an earlier run are replaced.
+    ///
+    /// # Errors
+    /// [`OutputError`] when the folder or a file cannot be made.
+    pub fn create(dir: &Path) -> Result<Self, OutputError> {
+        std::fs::create_dir_all(dir).map_err(|source| OutputError::Folder { path: dir.to_owned(), source })?;
+        let mut frames_csv = TextSink::create(dir.join("frames.csv"))?;
+        frame_row::write_header(&mut frames_csv)?;
+        Ok(Self {
+            frames_csv,
+            odometry: TextSink::create(dir.join("odometry_tum.txt"))?,
+            frame_log: FrameLog::create(dir.join(".frames.log"))?,
+            keyframes: KeyframeTable::create(dir.join(".keyframes.table"))?,
+            counts: FrameCounts::default(),
+            dir: dir.to_owned(),
+        })
+    }
+
+    /// Where the files are.
+    pub fn path(&self) -> &Path {
+        &self.dir
+    }
+
+    /// Frames written so far.
+    pub fn counts(&self) -> FrameCounts {
+        self.counts
+    }
+
+    /// Writes a frame that the tracker has seen; frames come in order.
+    ///
+    /// # Errors
+    /// [`OutputError`] when the disk does not take it.
+    pub fn frame(&mut self, frame: &FrameReport, times: &StageTimes) -> Result<(), OutputError> {
+        match frame.status {
+            FrameStatus::Tracked => self.counts.tracked += 1,
+            FrameStatus::Doubtful => self.counts.doubtful += 1,
+            FrameStatus::Lost => self.counts.lost += 1,
+        }
+        frame_row::write_frame(&mut self.frames_csv, frame, times)?;
+        if frame.status == FrameStatus::Lost {
+            return self.frame_log.push(None);
+        }
+        if frame.is_keyframe {
+            self.counts.keyframes += 1;
+            let world_from_keyframe = frame.world_from_camera * frame.keyframe_from_camera.inverse();
+            let placed = PlacedKeyframe { timestamp_ns: frame.timestamp_ns, world_from_keyframe, scale: 1.0 };
+            self.keyframes.place(frame.keyframe_ordinal, &placed)?;
+        }
+        trajectory::write_tum(&mut self.odometry, frame.timestamp_ns, &frame.world_from_camera)?;
+        self.frame_log.push(Some(&RelativePose {
+            timestamp_ns: frame.timestamp_ns,
+            keyframe_ordinal: frame.keyframe_ordinal,
+            keyframe_from_camera: frame.keyframe_from_camera,
+        }))
+    }
+
+    /// Writes a frame that never reached the tracker; its time may be unknown.
+    ///
+    /// # Errors
+    /// [`OutputError`] when the disk does not take it.
+    pub fn dropped(&mut self, frame_index: u64, timestamp_ns: Option<TimestampNs>) -> Result<(), OutputError> {
+        self.counts.dropped += 1;
+        frame_row::write_dropped(&mut self.frames_csv, frame_index, timestamp_ns)?;
+        self.frame_log.push(None)
+    }
+
+    /// Moves a keyframe to where bundle adjustment or a loop closure found it to be: poses relative to it are
+    /// multiplied by `scale`. A keyframe that was never written is ignored.
+    ///
+    /// # Errors
+    /// [`OutputError`] when the table cannot be read or written.
+    pub fn correct_keyframe(
+        &mut self,
+        ordinal: u32,
+        world_from_keyframe: &Rigid,
+        scale: f64,
+    ) -> Result<(), OutputError> {
+        match self.keyframes.get(ordinal)? {
+            Some(before) => {
+                let world_from_keyframe = *world_from_keyframe;
+                self.keyframes.place(ordinal, &PlacedKeyframe { world_from_keyframe, scale, ..before })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Expands the trajectory with the keyframes' final places and closes all files.
+    ///
+    /// # Errors
+    /// [`OutputError`] when the disk does not take it.
+    pub fn finish(mut self) -> Result<TrajectorySummary, OutputError> {
+        self.frames_csv.finish()?;
+        self.odometry.finish()?;
+        let logs = [self.frame_log.path().to_owned(), self.keyframes.path().to_owned()];
+        let mut frames = self.frame_log.into_reader()?;
+        let summary = trajectory::expand(&self.dir, &mut frames, &mut self.keyframes)?;
+        for log in &logs {
+            std::fs::remove_file(log).map_err(OutputError::write(log))?;
+        }
+        Ok(summary)
+    }
+}
+
+#[cfg(test)]
+#[path = "folder_tests.rs"]
+mod tests;

@@ -1,0 +1,22 @@
+//! What a run leaves behind: trajectories, one row per frame, figures, pictures.
+//!
+//! Everything is streamed in buffers of fixed size. A frame's pose is logged relative to its keyframe and turned
+//! into a trajectory once, at the end, when the keyframes are where loop closures put them; so the memory taken
+//! does not depend on the route.
+
+mod error;
+mod number;
+mod sink;
+mod stage_times;
+
+mod frame_log;
+mod frame_row;
+mod keyframe_table;
+mod trajectory;
+
+mod folder;
+
+pub use error::OutputError;
+pub use folder::{FrameCounts, OutputFolder};
+pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
+pub use trajectory::TrajectorySummary;
