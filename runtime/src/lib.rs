@@ -7,6 +7,7 @@ pub mod config;
 pub mod output;
 pub mod seal;
 pub mod settings;
+pub mod pool;
 pub mod splat;
 pub mod telemetry;
 
