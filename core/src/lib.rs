@@ -13,6 +13,8 @@ pub mod conventions;
 
 pub mod frame;
 
+pub mod features;
+
 pub mod pose;
 
 pub mod tracking;

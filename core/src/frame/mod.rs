@@ -1,5 +1,11 @@
 //! Images as borrowed views. Pixels stay where the camera process put them.
 
+pub mod gray;
+pub mod pyramid;
+
+pub use gray::to_gray;
+pub use pyramid::Pyramid;
+
 use core::fmt;
 
 /// How the bytes of a frame are to be read. The numbers are those of the wire.
@@ -62,6 +68,11 @@ impl<'a> ImageView<'a> {
             return Err(ImageTooShort { bytes: pixels.len(), needed: needed.max(width) });
         }
         Ok(Self { pixels, width, height, stride })
+    }
+
+    /// An image without pixels.
+    pub fn empty() -> Self {
+        Self { pixels: &[], width: 0, height: 0, stride: 0 }
     }
 
     /// Width, px.
