@@ -1,0 +1,147 @@
+//! The simulator's truth on disk, in the layout of KITTI odometry.
+
+use super::{SimArgs, SimError, Simulator};
+use crate::source::{FrameSource, PixelFormat};
+use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
+use std::fs::{File, create_dir_all};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// KITTI stores depth as 16-bit steps of 1/256 m, 0 for unknown.
+const DEPTH_STEPS_PER_M: f32 = 256.0;
+
+/// Writes `poses.txt`, `times.txt`, `calib.txt`, `camera.toml` and, frame by frame, `depth/NNNNNN.png`.
+pub struct TruthWriter {
+    folder: PathBuf,
+    poses: BufWriter<File>,
+    times: BufWriter<File>,
+    depth_steps: Vec<u8>,
+}
+
+impl TruthWriter {
+    /// Creates the folder and the files that do not grow.
+    ///
+    /// # Errors
+    /// [`SimError::Truth`] when the folder cannot be written.
+    pub fn create(folder: &Path, simulator: &Simulator) -> Result<Self, SimError> {
+        let depth_folder = folder.join("depth");
+        create_dir_all(&depth_folder).map_err(|e| problem(&depth_folder, &e))?;
+        let camera = simulator.format().camera;
+        // KITTI's calibration centres pixels on integers.
+        let (cx, cy) = (camera.cx - 0.5, camera.cy - 0.5);
+        let row = format!("P0: {} 0 {cx} 0 0 {} {cy} 0 0 0 1 0\n", camera.fx, camera.fy);
+        write_text(&folder.join("calib.txt"), &row)?;
+        let mounting = "height_m = 1.65\npitch_rad = 0.0\nroll_rad = 0.0\n\
+                        forward_axis = [0.0, 0.0, 1.0]\nlever_arm_m = [0.0, 0.0, 0.0]\n";
+        write_text(&folder.join("camera.toml"), mounting)?;
+        let open = |name: &str| {
+            let path = folder.join(name);
+            File::create(&path).map(BufWriter::new).map_err(|e| problem(&path, &e))
+        };
+        let n_pixels = camera.width as usize * camera.height as usize;
+        Ok(Self {
+            folder: folder.to_owned(),
+            poses: open("poses.txt")?,
+            times: open("times.txt")?,
+            depth_steps: vec![0; 2 * n_pixels],
+        })
+    }
+
+    /// Appends the truth of the frame that the simulator delivered last.
+    ///
+    /// # Errors
+    /// [`SimError::Truth`], for example on a full disk.
+    pub fn write(&mut self, simulator: &Simulator, frame: usize) -> Result<(), SimError> {
+        let at = simulator.camera_at(frame);
+        let (sin, cos) = at.heading_rad.sin_cos();
+        writeln!(self.poses, "{cos:.9e} 0 {sin:.9e} {:.9e} 0 1 0 0 {:.9e} 0 {cos:.9e} {:.9e}", at.x, -sin, at.z)
+            .map_err(|e| problem(&self.folder.join("poses.txt"), &e))?;
+        writeln!(self.times, "{:.6e}", simulator.timestamp_ns(frame) as f64 * 1e-9)
+            .map_err(|e| problem(&self.folder.join("times.txt"), &e))?;
+        for (bytes, depth_m) in self.depth_steps.chunks_exact_mut(2).zip(simulator.depth_m()) {
+            let steps = depth_m * DEPTH_STEPS_PER_M;
+            let stored = if steps <= f32::from(u16::MAX) { steps.round() as u16 } else { 0 };
+            bytes.copy_from_slice(&stored.to_ne_bytes());
+        }
+        let path = self.folder.join(format!("depth/{frame:06}.png"));
+        let camera = simulator.format().camera;
+        save_buffer_with_format(
+            &path,
+            &self.depth_steps,
+            camera.width,
+            camera.height,
+            ExtendedColorType::L16,
+            ImageFormat::Png,
+        )
+        .map_err(|e| problem(&path, &e))
+    }
+
+    /// Flushes what is buffered.
+    ///
+    /// # Errors
+    /// [`SimError::Truth`], for example on a full disk.
+    pub fn finish(mut self) -> Result<(), SimError> {
+        self.poses.flush().map_err(|e| problem(&self.folder.join("poses.txt"), &e))?;
+        self.times.flush().map_err(|e| problem(&self.folder.join("times.txt"), &e))
+    }
+}
+
+/// Simulates a whole drive into a KITTI-style folder: images, calibration, times and truth. Nothing is published.
+///
+/// # Errors
+/// [`SimError`] when the way is unusable or the folder cannot be written.
+pub fn write_dataset(args: &SimArgs, folder: &Path, mut on_frame: impl FnMut(usize, usize)) -> Result<(), SimError> {
+    let mut simulator = Simulator::new(args)?;
+    let mut truth = TruthWriter::create(folder, &simulator)?;
+    let format = simulator.format();
+    let (subfolder, color, channels) = match format.pixel_format {
+        PixelFormat::Mono8 => ("image_0", ExtendedColorType::L8, 1),
+        _ => ("images", ExtendedColorType::Rgb8, 3),
+    };
+    let images = folder.join(subfolder);
+    create_dir_all(&images).map_err(|e| problem(&images, &e))?;
+    let camera = format.camera;
+    let mut pixels = vec![0; channels * camera.width as usize * camera.height as usize];
+    for frame in 0..simulator.n_frames() {
+        simulator.next_frame(&mut pixels).map_err(|e| problem(&images, &e))?;
+        let path = images.join(format!("{frame:06}.png"));
+        save_buffer_with_format(&path, &pixels, camera.width, camera.height, color, ImageFormat::Png)
+            .map_err(|e| problem(&path, &e))?;
+        truth.write(&simulator, frame)?;
+        on_frame(frame + 1, simulator.n_frames());
+    }
+    truth.finish()
+}
+
+fn write_text(path: &Path, text: &str) -> Result<(), SimError> {
+    std::fs::write(path, text).map_err(|e| problem(path, &e))
+}
+
+fn problem(path: &Path, reason: &dyn std::fmt::Display) -> SimError {
+    SimError::Truth { path: path.to_owned(), reason: reason.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_drive_is_a_kitti_folder() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let args = SimArgs { width: 64, height: 32, length: 2.0, ..SimArgs::default() };
+        let mut last = (0, 0);
+        write_dataset(&args, dir.path(), |done, all| last = (done, all)).expect("writable folder");
+        assert!(last.0 == last.1 && last.0 > 2, "{last:?}");
+        let poses = std::fs::read_to_string(dir.path().join("poses.txt")).expect("poses");
+        assert_eq!(poses.lines().count(), last.1);
+        assert!(poses.lines().all(|l| l.split(' ').filter(|w| w.parse::<f64>().is_ok()).count() == 12), "{poses}");
+        let depth = image::open(dir.path().join("depth/000000.png")).expect("depth").into_luma16();
+        let (x, y) = (32, 31);
+        let expected_m = 1.65 * 0.58 * 64.0 / (31.5 - 0.485 * 32.0);
+        assert!((f64::from(depth.get_pixel(x, y).0[0]) / 256.0 - expected_m).abs() < 0.01);
+        assert!(matches!(
+            TruthWriter::create(Path::new("/proc/no"), &Simulator::new(&args).expect("drive")),
+            Err(SimError::Truth { .. })
+        ));
+    }
+}
