@@ -34,7 +34,7 @@ fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
 /// Wavelengths of the octaves, m: from paving stones to grains of asphalt.
 const WAVELENGTHS_M: [f32; 6] = [2.3, 0.9, 0.36, 0.14, 0.055, 0.022];
 /// An octave is full above this many pixels per wavelength and gone below half of it (Nyquist with a margin).
-const FULL_PX_PER_WAVELENGTH: f32 = 5.0;
+const FULL_PX_PER_WAVELENGTH: f32 = 4.0;
 
 /// Sum of the octaves that pixels `footprint_m` wide can show, about [-1, 1].
 pub fn detail(x_m: f32, y_m: f32, seed: u32, footprint_m: f32) -> f32 {

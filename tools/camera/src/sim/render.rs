@@ -12,6 +12,10 @@ pub const VIEW_DISTANCE_M: f64 = 180.0;
 pub const SKY_DEPTH_M: f32 = f32::INFINITY;
 /// Direction towards the sun, world axes (y down), unit.
 const SUN: [f32; 3] = [0.48, -0.8, -0.36];
+/// Color of the sky where it meets the ground, and of the haze.
+const HORIZON: [f32; 3] = [0.86, 0.89, 0.93];
+/// Color of the sky above, minus that of the horizon.
+const ZENITH_STEP: [f32; 3] = [-0.42, -0.28, -0.08];
 /// Sub-rays of a pixel where two surfaces meet.
 const EDGE_SAMPLES: [(f32, f32); 4] = [(0.125, 0.375), (0.375, 0.875), (0.625, 0.125), (0.875, 0.625)];
 /// Depth step between neighbours, relative, that makes an edge.
@@ -92,13 +96,13 @@ impl Scene<'_> {
             None if ground_m < VIEW_DISTANCE_M as f32 => {
                 let slant = ray.direction[1] / norm(&ray.direction);
                 let point = ray.at(ground_m);
-                (self.ground(point[0], point[2], footprint(ground_m, slant.max(0.02))), ground_m, 1)
+                // A pixel of road is long and narrow; the mean of its sides keeps detail without flicker.
+                (self.ground(point[0], point[2], footprint(ground_m, slant.sqrt())), ground_m, 1)
             }
             None => (sky(&ray.direction), SKY_DEPTH_M, 0),
         };
         let haze = if depth_m.is_finite() { (depth_m / VIEW_DISTANCE_M as f32).powi(2).min(1.0) } else { 0.0 };
-        let horizon = sky(&[ray.direction[0], ray.direction[1].min(-0.02), ray.direction[2]]);
-        Sample { color: [0, 1, 2].map(|c| color[c] + haze * (horizon[c] - color[c])), depth_m, identity }
+        Sample { color: [0, 1, 2].map(|c| color[c] + haze * (HORIZON[c] - color[c])), depth_m, identity }
     }
 
     /// Walks the town's grid along the ray (Amanatides & Woo 1987) until a solid is nearer than the next cell.
@@ -130,7 +134,8 @@ impl Scene<'_> {
                 }
             }
             let leave_m = next_x.min(next_z);
-            if !(leave_m < nearest.map_or(last_m, |(hit, _)| hit.depth_m)) {
+            // A ray along a cell's border has no next border (NaN): it stays where it is.
+            if leave_m.is_nan() || leave_m >= nearest.map_or(last_m, |(hit, _)| hit.depth_m) {
                 return nearest;
             }
             if next_x < next_z {
@@ -145,7 +150,6 @@ impl Scene<'_> {
 
     /// Asphalt with markings, pavement, grass.
     fn ground(&self, x: f32, z: f32, footprint_m: f32) -> [f32; 3] {
-        // A pixel of road is long and narrow; the square root of its length keeps detail without flicker.
         let texture = detail(x, z, 7, footprint_m);
         let grass = [0.26 + 0.10 * texture, 0.36 + 0.13 * texture, 0.17 + 0.07 * texture];
         let Some(position) = self.town.road_position(x, z) else { return grass };
@@ -243,7 +247,7 @@ fn sky(direction: &[f32; 3]) -> [f32; 3] {
     let (over_x, over_z) = (direction[0] / (up + 0.08), direction[2] / (up + 0.08));
     let cloud = 0.10 * detail(0.5 * over_x, 0.5 * over_z, 77, 0.05 / (up + 0.05));
     let fade = up.sqrt();
-    [0.86 - 0.42 * fade + cloud, 0.89 - 0.28 * fade + cloud, 0.93 - 0.08 * fade + 0.6 * cloud]
+    [0, 1, 2].map(|c| HORIZON[c] + ZENITH_STEP[c] * fade + cloud)
 }
 
 fn is_edge(x: usize, y: usize, width: usize, height: usize, depth_m: &[f32], identity: &[u32]) -> bool {
