@@ -16,7 +16,14 @@ mod trajectory;
 
 mod folder;
 
+mod drive_chart;
+mod histogram;
+pub mod report;
+
+pub use drive_chart::{DriveBucket, DriveChart};
 pub use error::OutputError;
 pub use folder::{FrameCounts, OutputFolder};
+pub use histogram::Histogram;
+pub use report::Report;
 pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
 pub use trajectory::TrajectorySummary;
