@@ -1,2 +1,15 @@
-//! A static binary of `kilogs-core` without std.
-fn main() {}
+//! Proof that `kilogs-core` needs no std, no allocator and no libc: this program has none of them.
+//!
+//! `cargo xtask test` builds it alone with `--profile nostd` and runs it. It solves small tracking problems through
+//! the same functions that the vehicle uses and exits with 0, or prints which one failed and exits with 1.
+#![cfg_attr(panic = "abort", no_std, no_main)]
+
+#[cfg(panic = "abort")]
+mod bare;
+#[cfg(any(panic = "abort", test))]
+mod problems;
+
+#[cfg(not(panic = "abort"))]
+fn main() {
+    eprintln!("the proof is: cargo run -p kilogs-nostd-proof --profile nostd");
+}
