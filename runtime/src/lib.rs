@@ -5,6 +5,7 @@
 pub mod budget;
 pub mod config;
 pub mod output;
+pub mod map_store;
 pub mod seal;
 pub mod settings;
 pub mod pool;

@@ -35,13 +35,13 @@ impl DecoderParams<'_> {
 pub struct ChunkBackground<'a> {
     /// Texels per row; 0 for a chunk without a background.
     pub width: u32,
-    /// RGB, `3 * width * rows` numbers; the mapping from direction to texel is the backend's.
-    pub rgb: &'a [f32],
+    /// RGB, whole rows of them; the mapping from direction to texel is the backend's.
+    pub texels: &'a [[f32; 3]],
 }
 
 impl ChunkBackground<'_> {
     /// A chunk without a background.
-    pub const NONE: Self = Self { width: 0, rgb: &[] };
+    pub const NONE: Self = Self { width: 0, texels: &[] };
 }
 
 #[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -54,18 +54,18 @@ struct ChunkHeader {
     decoder_kind: u32,
     decoder_bytes: u32,
     background_width: u32,
-    background_values: u32,
+    background_texels: u32,
 }
 
 const HEADER_END: usize = PREFIX_BYTES + size_of::<ChunkHeader>();
 
 /// Size of a chunk file, for buffers and budgets.
-pub const fn chunk_record_bytes(decoder_bytes: usize, background_values: usize) -> usize {
-    HEADER_END + decoder_bytes + background_values * size_of::<f32>()
+pub const fn chunk_record_bytes(decoder_bytes: usize, background_texels: usize) -> usize {
+    HEADER_END + decoder_bytes + background_texels * size_of::<[f32; 3]>()
 }
 
 /// Writes a chunk to the front of `memory`; returns its length, or `None` when it does not fit
-/// (see [`chunk_record_bytes`]) or the background is not whole rows of RGB.
+/// (see [`chunk_record_bytes`]) or the background is not whole rows.
 pub fn encode_chunk(
     label: &ChunkLabel,
     decoder: DecoderParams<'_>,
@@ -80,24 +80,23 @@ pub fn encode_chunk(
         decoder_kind: decoder.kind,
         decoder_bytes: u32::try_from(decoder.bytes.len()).ok()?,
         background_width: background.width,
-        background_values: u32::try_from(background.rgb.len()).ok()?,
+        background_texels: u32::try_from(background.texels.len()).ok()?,
     };
     if !is_whole_rows(&header) {
         return None;
     }
     let decoder_end = HEADER_END.checked_add(decoder.bytes.len())?;
-    let end = decoder_end.checked_add(size_of_val(background.rgb))?;
-    memory.get_mut(decoder_end..end)?.copy_from_slice(background.rgb.as_bytes());
+    let end = decoder_end.checked_add(size_of_val(background.texels))?;
+    memory.get_mut(decoder_end..end)?.copy_from_slice(background.texels.as_bytes());
     memory.get_mut(HEADER_END..decoder_end)?.copy_from_slice(decoder.bytes);
     memory.get_mut(PREFIX_BYTES..HEADER_END)?.copy_from_slice(header.as_bytes());
     record::seal(RecordKind::Chunk, memory, end - PREFIX_BYTES)
 }
 
 fn is_whole_rows(header: &ChunkHeader) -> bool {
-    match header.background_width.checked_mul(3) {
-        Some(0) => header.background_values == 0,
-        Some(row) => header.background_values.is_multiple_of(row),
-        None => false,
+    match header.background_width {
+        0 => header.background_texels == 0,
+        row => header.background_texels.is_multiple_of(row),
     }
 }
 
@@ -114,18 +113,20 @@ pub struct ChunkView<'a> {
 }
 
 impl ChunkView<'_> {
-    /// Numbers of the background (3 per texel).
-    pub fn background_values(&self) -> usize {
-        self.background.len() / size_of::<f32>()
+    /// Texels of the background.
+    pub fn background_texels(&self) -> usize {
+        self.background.len() / size_of::<[f32; 3]>()
     }
 
-    /// Copies the background to the front of `rgb`, as much as fits; returns how many numbers that were.
-    pub fn read_background(&self, rgb: &mut [f32]) -> usize {
-        let n_values = rgb.len().min(self.background_values());
-        for (value, bytes) in rgb.iter_mut().zip(self.background.as_chunks().0) {
-            *value = f32::from_le_bytes(*bytes);
+    /// Copies the background to the front of `texels`, as much as fits; returns how many texels that were.
+    pub fn read_background(&self, texels: &mut [[f32; 3]]) -> usize {
+        let n_texels = texels.len().min(self.background_texels());
+        for (texel, bytes) in texels.iter_mut().zip(self.background.as_chunks::<12>().0) {
+            if let Ok(rgb) = FromBytes::read_from_bytes(bytes) {
+                *texel = rgb;
+            }
         }
-        n_values
+        n_texels
     }
 }
 
@@ -138,7 +139,7 @@ pub fn decode_chunk(bytes: &[u8]) -> Result<ChunkView<'_>, RecordProblem> {
     let body = record::open(RecordKind::Chunk, bytes)?;
     let (header, rest) = ChunkHeader::read_from_prefix(body).map_err(|_| WRONG)?;
     let (decoder, background) = rest.split_at_checked(header.decoder_bytes as usize).ok_or(WRONG)?;
-    let counted = Some(background.len()) == (header.background_values as usize).checked_mul(size_of::<f32>());
+    let counted = Some(background.len()) == (header.background_texels as usize).checked_mul(size_of::<[f32; 3]>());
     if !counted || !is_whole_rows(&header) || bytes.len() != PREFIX_BYTES + body.len() {
         return Err(WRONG);
     }
@@ -161,36 +162,36 @@ mod tests {
     use super::*;
 
     const LABEL: ChunkLabel = ChunkLabel { chunk_id: 2, first_keyframe_id: 200, last_keyframe_id: 299, revision: 1 };
-    const RGB: [f32; 12] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 0.25];
+    const RGB: [[f32; 3]; 4] = [[0.0, 0.1, 0.2], [0.3, 0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0, 0.25]];
 
     #[test]
     fn decoder_and_background_come_back() {
         // An odd number of decoder bytes leaves the background unaligned.
         for (decoder, background) in [
-            (DecoderParams { kind: 7, bytes: &[1, 2, 3] }, ChunkBackground { width: 2, rgb: &RGB }),
+            (DecoderParams { kind: 7, bytes: &[1, 2, 3] }, ChunkBackground { width: 2, texels: &RGB }),
             (DecoderParams::EXPLICIT, ChunkBackground::NONE),
         ] {
             let mut memory = [0xa5; 200];
             let length = encode_chunk(&LABEL, decoder, background, &mut memory).expect("it fits");
-            assert_eq!(length, chunk_record_bytes(decoder.bytes.len(), background.rgb.len()));
+            assert_eq!(length, chunk_record_bytes(decoder.bytes.len(), background.texels.len()));
             let view = decode_chunk(&memory[..length]).expect("undamaged");
             assert_eq!((view.label, view.decoder, view.background_width), (LABEL, decoder, background.width));
-            let mut rgb = [-1.0; 13];
-            assert_eq!(view.read_background(&mut rgb), background.rgb.len());
-            assert_eq!(&rgb[..background.rgb.len()], background.rgb);
-            assert_eq!(rgb[12], -1.0);
+            let mut texels = [[-1.0; 3]; 5];
+            assert_eq!(view.read_background(&mut texels), background.texels.len());
+            assert_eq!(&texels[..background.texels.len()], background.texels);
+            assert_eq!(texels[4], [-1.0; 3]);
             check_every_damage_is_noticed(&memory[..length], |bytes| decode_chunk(bytes).map(|_| ()));
         }
     }
 
     #[test]
     fn what_does_not_fit_or_is_no_table_is_refused() {
-        let table = ChunkBackground { width: 2, rgb: &RGB };
+        let table = ChunkBackground { width: 2, texels: &RGB };
         let needed = chunk_record_bytes(0, RGB.len());
         let mut memory = [0; 200];
         assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, table, &mut memory[..needed - 1]).is_none());
         assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, table, &mut memory[..needed]).is_some());
-        let ragged = ChunkBackground { width: 2, rgb: &RGB[..9] };
+        let ragged = ChunkBackground { width: 2, texels: &RGB[..3] };
         assert!(encode_chunk(&LABEL, DecoderParams::EXPLICIT, ragged, &mut memory).is_none());
     }
 }

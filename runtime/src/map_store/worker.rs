@@ -1,0 +1,87 @@
+//! The thread that owns the disk.
+
+use super::queue::{Job, Pool, Queue};
+use super::{StoreError, jpeg, layout};
+use kilogs_core::frame::PixelFormat;
+use kilogs_core::store::{StoredKeyframe, encode_keyframe};
+use std::fs::File;
+use std::io::Write;
+use std::path::PathBuf;
+
+/// What the writing thread owns.
+pub(super) struct Worker {
+    pub(super) folder: PathBuf,
+    pub(super) keyframe_log: File,
+    pub(super) image_size: (u32, u32),
+    pub(super) pixel_format: PixelFormat,
+    pub(super) jpeg_quality: u8,
+    /// Encoded image; keeps its memory from one to the next.
+    pub(super) jpeg: Vec<u8>,
+}
+
+impl Worker {
+    /// Writes until the queue is closed or something cannot be written.
+    pub(super) fn run(mut self, queue: &Queue) {
+        // Whatever ends this thread, nobody may wait for it any longer.
+        let _stop = StopWhenDropped(queue);
+        while let Some(job) = queue.next_job() {
+            if let Err(failure) = self.write(job, queue) {
+                queue.stop(Some(failure));
+                return;
+            }
+        }
+    }
+
+    fn write(&mut self, job: Job, queue: &Queue) -> Result<(), StoreError> {
+        match job {
+            Job::Page { page_id, memory, n_bytes } => {
+                // A page without its keyframes is of no use: they reach the disk first.
+                self.sync_log()?;
+                let path = layout::page_path(&self.folder, page_id);
+                let written = layout::replace_file(&path, memory.get(..n_bytes).unwrap_or_default());
+                queue.return_buffer(Pool::Pages, memory);
+                written
+            }
+            Job::Chunk { chunk_id, memory, n_bytes } => {
+                let path = layout::chunk_path(&self.folder, chunk_id);
+                let written = layout::replace_file(&path, memory.get(..n_bytes).unwrap_or_default());
+                queue.return_buffer(Pool::Pages, memory);
+                written
+            }
+            Job::Keyframe { mut keyframe, pixels } => {
+                if let Some(mut pixels) = pixels {
+                    let written = self.write_image(&mut keyframe, &mut pixels);
+                    queue.return_buffer(Pool::Images, pixels);
+                    written?;
+                }
+                let record = encode_keyframe(&keyframe);
+                let path = self.folder.join(layout::KEYFRAMES);
+                self.keyframe_log.write_all(&record).map_err(|e| StoreError::write("appending to", &path, e))
+            }
+        }
+    }
+
+    /// The image is written before the record that names its checksum, so a torn one is noticed.
+    fn write_image(&mut self, keyframe: &mut StoredKeyframe, pixels: &mut [u8]) -> Result<(), StoreError> {
+        let path = layout::image_path(&self.folder, keyframe.frame_index);
+        jpeg::encode(pixels, self.image_size, self.pixel_format, self.jpeg_quality, &mut self.jpeg)
+            .map_err(|e| StoreError::Image { path: path.clone(), reason: e.to_string() })?;
+        std::fs::write(&path, &self.jpeg).map_err(|e| StoreError::write("writing", &path, e))?;
+        keyframe.image_bytes = u32::try_from(self.jpeg.len()).unwrap_or(u32::MAX);
+        keyframe.image_crc = crc32fast::hash(&self.jpeg);
+        Ok(())
+    }
+
+    fn sync_log(&self) -> Result<(), StoreError> {
+        let path = self.folder.join(layout::KEYFRAMES);
+        self.keyframe_log.sync_data().map_err(|e| StoreError::write("syncing", &path, e))
+    }
+}
+
+struct StopWhenDropped<'a>(&'a Queue);
+
+impl Drop for StopWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.stop(None);
+    }
+}
