@@ -9,6 +9,9 @@ use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3, Vector6};
 const SMALL_ANGLE_RAD: f64 = 1e-4;
 
 /// Cross-product matrix: `skew(a) * b = a x b`.
+///
+/// # Source
+/// Sola, Deray & Atchuthan 2018, eq. 60.
 pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
