@@ -2,14 +2,14 @@
 //!
 //! Everything here allocates at start-up and then seals itself; `kilogs-core` does the calculating.
 
-pub mod budget;
 pub mod config;
-pub mod output;
-pub mod map_store;
-pub mod seal;
 pub mod settings;
+pub mod budget;
+pub mod seal;
 pub mod pool;
+pub mod output;
 pub mod splat;
+pub mod map_store;
 pub mod telemetry;
 
 #[cfg(test)]
