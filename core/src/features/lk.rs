@@ -40,7 +40,7 @@ impl LkSettings {
         min_eigenvalue: 1.0,
         min_correlation: 0.8,
         max_backward_px: 0.5,
-        border_px: 4.0,
+        border_px: 11.0,
     };
 }
 
@@ -360,8 +360,8 @@ mod tests {
 
     #[test]
     fn images_smaller_than_the_window_are_searched_on_the_full_image_only() {
-        let scene = Scene::textured(24, 20);
-        let found = verdict(&scene, &scene, [12.0, 10.0], [12.3, 9.8]);
+        let scene = Scene::textured(28, 26);
+        let found = verdict(&scene, &scene, [14.0, 13.0], [14.3, 12.8]);
         assert!(found.is_found(), "{found:?}");
     }
 }

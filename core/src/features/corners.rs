@@ -1,0 +1,394 @@
+//! Corners, evenly spread: at most one new corner per cell of a grid, none where a track already is.
+
+use super::SimdLevel;
+use super::lk::distance;
+use crate::frame::ImageView;
+
+/// Constants of the detector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CornerSettings {
+    /// Side of a grid cell, px at [`REFERENCE_WIDTH_PX`]; it is scaled with the image's width and kept within 8..=48.
+    /// Range [8, 48]; ours: 20 gives about 1100 cells at 1241 x 376.
+    pub cell_px: f32,
+    /// Smallest distance to a track or another new corner, px. Range [0, 48]; ours.
+    pub min_distance_px: f32,
+    /// Smallest eigenvalue of the mean gradient matrix over 5 x 5 px below which a pixel is no corner, squared grey
+    /// values per squared pixel. Range [0, 10000]; ours.
+    pub min_eigenvalue: f32,
+    /// How close to the border a corner may lie, px. Range [4, 100]: less than 4 is taken as 4. Ours.
+    pub border_px: f32,
+}
+
+/// Width of the images that lengths in px are stated for: KITTI's.
+pub const REFERENCE_WIDTH_PX: f32 = 1241.0;
+
+impl CornerSettings {
+    /// The values that the documentation of the fields explains.
+    pub const STANDARD: Self = Self { cell_px: 20.0, min_distance_px: 7.0, min_eigenvalue: 8.0, border_px: 11.0 };
+}
+
+/// A point that can be told from its neighbourhood in both directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Corner {
+    /// Centre of the pixel, px.
+    pub pixel: [f32; 2],
+    /// Smallest eigenvalue of the mean gradient matrix over 5 x 5 px, squared grey values per squared pixel.
+    pub min_eigenvalue: f32,
+}
+
+impl Corner {
+    /// Fills storage that is still to be written.
+    pub const NONE: Self = Self { pixel: [0.0; 2], min_eigenvalue: 0.0 };
+}
+
+/// What [`detect`] found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CornerReport {
+    /// Corners written to the front of the output.
+    pub n_found: usize,
+    /// Corners that gave way to stronger ones because the output was full.
+    pub n_refused: usize,
+    /// Cells without a track in them.
+    pub n_empty_cells: usize,
+}
+
+/// Finds at most one corner in every grid cell that holds none of the `existing` points.
+///
+/// The maxima are those of `λ1 λ2 / (λ1 + λ2)`, which needs no root and lies within a factor of two of the smallest
+/// eigenvalue; the smallest eigenvalue decides and is reported.
+///
+/// # Inputs
+/// * `existing_px`: pixels of live tracks; those that are no numbers are ignored.
+/// * `corners`: bounds how many are found; when it is full the weakest gives way (`evict-worst`).
+///
+/// # Output
+/// The front of `corners`, in raster order of their cells; the rest of `corners` is left as it was.
+///
+/// # Cost
+/// O(pixels of the empty cells + corners * existing); 7 KiB of stack; no allocation. Same bits on every SIMD level.
+///
+/// # Source
+/// Shi & Tomasi 1994, eq. 24 (verdict); Noble 1988 (maxima).
+pub fn detect(
+    simd: SimdLevel,
+    image: ImageView<'_>,
+    settings: &CornerSettings,
+    existing_px: impl Iterator<Item = [f32; 2]> + Clone,
+    corners: &mut [Corner],
+) -> CornerReport {
+    simd.dispatch(
+        #[inline(always)]
+        || detect_in_cells(image, settings, existing_px, corners),
+    )
+}
+
+/// Cells per row of the grid; wider images get wider cells.
+const MAX_COLUMNS: usize = 512;
+
+/// Largest cell and its halo of eight pixels fit into these lanes.
+const MAX_CELL_PX: usize = 48;
+const LANES: usize = 64;
+
+/// Side of the block that gradients are averaged over, px.
+const BLOCK: usize = 5;
+
+/// Pixels around a candidate that its response and its neighbours' need.
+const HALO: usize = BLOCK / 2 + 2;
+
+/// A second or third maximum is taken when the first lies too close to a track.
+const CANDIDATES: usize = 4;
+
+/// Side of a grid cell for images of this width, px.
+pub fn cell_side_px(settings: &CornerSettings, width: usize) -> usize {
+    let scaled = settings.cell_px * width as f32 / REFERENCE_WIDTH_PX;
+    (libm::roundf(scaled) as usize).clamp(8, MAX_CELL_PX).max(width.div_ceil(MAX_COLUMNS)).min(MAX_CELL_PX)
+}
+
+#[inline(always)]
+fn detect_in_cells(
+    image: ImageView<'_>,
+    settings: &CornerSettings,
+    existing_px: impl Iterator<Item = [f32; 2]> + Clone,
+    corners: &mut [Corner],
+) -> CornerReport {
+    let mut report = CornerReport { n_found: 0, n_refused: 0, n_empty_cells: 0 };
+    let side = cell_side_px(settings, image.width());
+    let border = (settings.border_px.clamp(HALO as f32, 1e4)) as usize;
+    let (columns, rows) = (image.width() / side + 1, image.height() / side + 1);
+    for row in 0..rows {
+        let mut occupied = [false; MAX_COLUMNS + 1];
+        for [x, y] in existing_px.clone().filter(|[x, y]| *x >= 0.0 && *y >= 0.0) {
+            if y as usize / side == row
+                && let Some(cell) = occupied.get_mut(x as usize / side)
+            {
+                *cell = true;
+            }
+        }
+        let Some((top, bottom)) = overlap(row * side, side, border, image.height()) else { continue };
+        for (column, _) in occupied.iter().enumerate().take(columns).filter(|(_, occupied)| !**occupied) {
+            let Some((left, right)) = overlap(column * side, side, border, image.width()) else { continue };
+            report.n_empty_cells += 1;
+            let candidates = strongest_in_cell(image, [left, top], [right, bottom]);
+            let far_from = |pixel, other| distance(pixel, other) >= settings.min_distance_px;
+            let accepted = candidates.iter().find(|corner| {
+                corner.min_eigenvalue >= settings.min_eigenvalue.max(f32::MIN_POSITIVE)
+                    && existing_px.clone().all(|px| !px.iter().all(|c| c.is_finite()) || far_from(corner.pixel, px))
+                    && corners.iter().take(report.n_found).all(|other| far_from(corner.pixel, other.pixel))
+            });
+            if let Some(corner) = accepted {
+                insert(*corner, corners, &mut report);
+            }
+        }
+    }
+    let found = corners.get_mut(..report.n_found).unwrap_or(&mut []);
+    let cell_of = |corner: &Corner| (corner.pixel[1] as usize / side, corner.pixel[0] as usize / side);
+    found.sort_unstable_by_key(cell_of);
+    report
+}
+
+/// The part of `start..start + side` that is at least `border` away from both ends of the image.
+fn overlap(start: usize, side: usize, border: usize, size: usize) -> Option<(usize, usize)> {
+    let (first, end) = (start.max(border), (start + side).min(size.saturating_sub(border)));
+    (first < end).then_some((first, end))
+}
+
+fn insert(corner: Corner, corners: &mut [Corner], report: &mut CornerReport) {
+    if let Some(slot) = corners.get_mut(report.n_found) {
+        *slot = corner;
+        report.n_found += 1;
+        return;
+    }
+    report.n_refused += 1;
+    let weakest = corners.iter_mut().reduce(|a, b| if b.min_eigenvalue < a.min_eigenvalue { b } else { a });
+    if let Some(weakest) = weakest.filter(|weakest| weakest.min_eigenvalue < corner.min_eigenvalue) {
+        *weakest = corner;
+    }
+}
+
+/// Sums over a row of pixels of the products of gradients: xx, xy, yy.
+type ProductRow = [[i32; LANES]; 3];
+
+/// The strongest local maxima of the response in `first..end`, strongest first; missing ones are [`Corner::NONE`].
+#[inline(always)]
+fn strongest_in_cell(image: ImageView<'_>, first: [usize; 2], end: [usize; 2]) -> [Corner; CANDIDATES] {
+    let mut strongest = [(0.0f32, Corner::NONE); CANDIDATES];
+    let (left, top) = (first[0] - HALO, first[1] - HALO);
+    let n_lanes = end[0] - first[0] + 2 * HALO;
+    let mut ring = [[[0i32; LANES]; 3]; BLOCK];
+    let mut block = [[0i32; LANES]; 3];
+    // Three rows of responses and of the sums that they came from; the middle one is searched for maxima.
+    let mut responses = [[0.0f32; LANES]; 3];
+    let mut middle_block = block;
+    for y in top + 1..end[1] + HALO - 1 {
+        let entering = product_row(image, left, y, n_lanes);
+        let leaving = core::mem::replace(&mut ring[y % BLOCK], entering);
+        for ((block, entering), leaving) in block.iter_mut().zip(&entering).zip(&leaving) {
+            for i in 0..LANES {
+                block[i] += entering[i] - leaving[i];
+            }
+        }
+        responses = [responses[1], responses[2], response_row(&block)];
+        // The block ends with row y, so it is centred two rows above; the middle responses lie one row higher still.
+        let center_y = y + 1 - HALO;
+        if center_y >= first[1] {
+            for i in HALO..n_lanes - HALO {
+                let response = responses[1][i];
+                if response > strongest[CANDIDATES - 1].0 && is_maximum(&responses, i) {
+                    let pixel = [(left + i) as f32 + 0.5, center_y as f32 + 0.5];
+                    let corner = Corner { pixel, min_eigenvalue: min_eigenvalue(&middle_block, i) };
+                    keep_strongest(&mut strongest, response, corner);
+                }
+            }
+        }
+        middle_block = block;
+    }
+    strongest.map(|(_, corner)| corner)
+}
+
+fn keep_strongest(strongest: &mut [(f32, Corner); CANDIDATES], response: f32, corner: Corner) {
+    let mut entering = (response, corner);
+    for slot in strongest {
+        if entering.0 > slot.0 {
+            core::mem::swap(slot, &mut entering);
+        }
+    }
+}
+
+/// Ties go to the pixel that comes first.
+#[inline(always)]
+fn is_maximum(responses: &[[f32; LANES]; 3], i: usize) -> bool {
+    let [above, here, below] = responses;
+    let response = here[i];
+    let before = [above[i - 1], above[i], above[i + 1], here[i - 1]];
+    let after = [here[i + 1], below[i - 1], below[i], below[i + 1]];
+    before.iter().all(|&other| response > other) && after.iter().all(|&other| response >= other)
+}
+
+/// Gradient products of row `y` from column `left` on, summed over [`BLOCK`] columns; lane i is centred on `left + i`.
+#[inline(always)]
+fn product_row(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> ProductRow {
+    let load = |y: usize| {
+        let mut lanes = [0i16; LANES];
+        if let Some(pixels) = image.row(y).get(left..left + n_lanes) {
+            lanes.iter_mut().zip(pixels).for_each(|(lane, &p)| *lane = i16::from(p));
+        }
+        lanes
+    };
+    let (above, here, below) = (load(y.wrapping_sub(1)), load(y), load(y + 1));
+    let mut products = [[0i32; LANES]; 3];
+    for i in 1..LANES - 1 {
+        let dx = |row: &[i16; LANES]| row[i + 1] - row[i - 1];
+        let dy = |i: usize| below[i] - above[i];
+        let gx = i32::from(dx(&above) + 2 * dx(&here) + dx(&below));
+        let gy = i32::from(dy(i - 1) + 2 * dy(i) + dy(i + 1));
+        products[0][i] = gx * gx;
+        products[1][i] = gx * gy;
+        products[2][i] = gy * gy;
+    }
+    products.map(|row| {
+        let mut sums = [0i32; LANES];
+        for i in BLOCK / 2..LANES - BLOCK / 2 {
+            sums[i] = row[i - 2] + row[i - 1] + row[i] + row[i + 1] + row[i + 2];
+        }
+        sums
+    })
+}
+
+/// `λ1 λ2 / (λ1 + λ2)` of the summed products; 0 where there is no gradient.
+#[inline(always)]
+fn response_row([xx, xy, yy]: &[[i32; LANES]; 3]) -> [f32; LANES] {
+    let mut responses = [0.0; LANES];
+    for i in 0..LANES {
+        let (xx, xy, yy) = (xx[i] as f32, xy[i] as f32, yy[i] as f32);
+        // Products are integers: a trace of one is far below any threshold and keeps 0 / 0 away.
+        responses[i] = (xx * yy - xy * xy) / (xx + yy).max(1.0);
+    }
+    responses
+}
+
+fn min_eigenvalue(block: &[[i32; LANES]; 3], i: usize) -> f32 {
+    /// A Sobel sum is eight times the gradient.
+    const UNIT: f32 = (BLOCK * BLOCK * 64) as f32;
+    let [xx, xy, yy] = [0, 1, 2].map(|k: usize| block[k][i] as f32 / UNIT);
+    let half_difference = 0.5 * (xx - yy);
+    0.5 * (xx + yy) - libm::sqrtf(half_difference * half_difference + xy * xy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::testing::Scene;
+    use std::vec;
+    use std::vec::Vec;
+
+    const SETTINGS: CornerSettings = CornerSettings { cell_px: 200.0, ..CornerSettings::STANDARD };
+
+    fn detected(
+        pixels: &[u8],
+        width: usize,
+        settings: &CornerSettings,
+        existing_px: &[[f32; 2]],
+        capacity: usize,
+    ) -> (Vec<Corner>, CornerReport) {
+        let image = ImageView::new(pixels, width, pixels.len() / width, width).expect("sized");
+        let mut corners = vec![Corner::NONE; capacity];
+        let report = detect(SimdLevel::new(), image, settings, existing_px.iter().copied(), &mut corners);
+        corners.truncate(report.n_found);
+        (corners, report)
+    }
+
+    /// Dark image with a bright square whose corners are the only corners.
+    fn square(width: usize, height: usize, [left, top, right, bottom]: [usize; 4]) -> Vec<u8> {
+        let inside = |i: usize| (left..right).contains(&(i % width)) && (top..bottom).contains(&(i / width));
+        (0..width * height).map(|i| if inside(i) { 200 } else { 20 }).collect()
+    }
+
+    #[test]
+    fn the_corners_of_a_square_are_found_where_they_are() {
+        let pixels = square(96, 96, [30, 34, 62, 70]);
+        let settings = CornerSettings { cell_px: 310.0, ..SETTINGS };
+        let (corners, _) = detected(&pixels, 96, &settings, &[], 50);
+        for expected in [[30.0, 34.0], [62.0, 34.0], [30.0, 70.0], [62.0, 70.0]] {
+            let nearest_px = corners.iter().map(|c| distance(c.pixel, expected)).fold(f32::INFINITY, f32::min);
+            assert!(nearest_px < 2.5, "{expected:?}: {nearest_px} px, {corners:?}");
+        }
+        assert_eq!(corners.len(), 4, "edges are no corners: {corners:?}");
+    }
+
+    #[test]
+    fn responses_of_a_cell_equal_the_plain_formula() {
+        let scene = Scene::textured(64, 64);
+        let pixels = scene.image([0.0, 0.0]);
+        let image = ImageView::new(&pixels, 64, 64, 64).expect("sized");
+        let gradient = |x: usize, y: usize| {
+            let p =
+                |dx: isize, dy: isize| f64::from(pixels[(y.wrapping_add_signed(dy)) * 64 + x.wrapping_add_signed(dx)]);
+            let column = |dx| p(dx, -1) + 2.0 * p(dx, 0) + p(dx, 1);
+            let row = |dy| p(-1, dy) + 2.0 * p(0, dy) + p(1, dy);
+            [(column(1) - column(-1)) / 8.0, (row(1) - row(-1)) / 8.0]
+        };
+        let corner = strongest_in_cell(image, [20, 12], [44, 40])[0];
+        let (cx, cy) = (corner.pixel[0] as usize, corner.pixel[1] as usize);
+        let mut sums = [0.0; 3];
+        for y in cy - 2..=cy + 2 {
+            for x in cx - 2..=cx + 2 {
+                let [gx, gy] = gradient(x, y);
+                sums = [sums[0] + gx * gx / 25.0, sums[1] + gx * gy / 25.0, sums[2] + gy * gy / 25.0];
+            }
+        }
+        let [xx, xy, yy] = sums;
+        let expected = 0.5 * (xx + yy) - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
+        assert!(expected > 1.0, "the scene has corners: {expected}");
+        assert!((f64::from(corner.min_eigenvalue) - expected).abs() < 1e-3 * expected, "{corner:?} {expected}");
+    }
+
+    #[test]
+    fn new_corners_keep_away_from_tracks_and_from_each_other() {
+        let pixels = Scene::textured(200, 160).image([0.0, 0.0]);
+        let (first, report) = detected(&pixels, 200, &SETTINGS, &[], 500);
+        assert!(first.len() > 10 && report.n_refused == 0, "{report:?}");
+        let existing_px: Vec<[f32; 2]> = first.iter().step_by(2).map(|corner| corner.pixel).collect();
+        let (second, _) = detected(&pixels, 200, &SETTINGS, &existing_px, 500);
+        let all: Vec<[f32; 2]> = existing_px.iter().copied().chain(second.iter().map(|c| c.pixel)).collect();
+        for (i, a) in all.iter().enumerate() {
+            for b in &all[..i] {
+                assert!(distance(*a, *b) >= SETTINGS.min_distance_px, "{a:?} {b:?}");
+            }
+        }
+        let unknown = [[f32::NAN, 3.0], [f32::INFINITY, -1.0], [-7.0, 1e30]];
+        assert_eq!(detected(&pixels, 200, &SETTINGS, &unknown, 500).0, first, "no numbers are no tracks");
+    }
+
+    #[test]
+    fn a_full_output_keeps_the_strongest_in_raster_order() {
+        let pixels = Scene::textured(200, 160).image([0.0, 0.0]);
+        let (all, _) = detected(&pixels, 200, &SETTINGS, &[], 500);
+        let (few, report) = detected(&pixels, 200, &SETTINGS, &[], 5);
+        assert_eq!((few.len(), report.n_refused), (5, all.len() - 5));
+        let mut by_strength = all.clone();
+        by_strength.sort_by(|a, b| b.min_eigenvalue.total_cmp(&a.min_eigenvalue));
+        let expected: Vec<Corner> = all.into_iter().filter(|corner| by_strength[..5].contains(corner)).collect();
+        assert_eq!(few, expected);
+        assert_eq!(detected(&pixels, 200, &SETTINGS, &[], 0).0, []);
+    }
+
+    #[test]
+    fn flat_and_tiny_images_have_no_corners() {
+        for (width, height) in [(200, 160), (1, 1), (9, 9), (64, 4)] {
+            let (corners, _) = detected(&vec![77; width * height], width, &SETTINGS, &[], 10);
+            assert_eq!(corners, [], "{width} x {height}");
+        }
+    }
+
+    #[test]
+    fn every_simd_level_gives_the_same_bits() {
+        let pixels = Scene::textured(200, 160).image([0.0, 0.0]);
+        let image = ImageView::new(&pixels, 200, 160, 200).expect("sized");
+        let run = |simd| {
+            let mut corners = [Corner::NONE; 200];
+            let report = detect(simd, image, &SETTINGS, core::iter::empty(), &mut corners);
+            (report, corners)
+        };
+        assert_eq!(run(SimdLevel::Scalar), run(SimdLevel::new()));
+    }
+}
