@@ -1,6 +1,7 @@
 //! The map: anchors on a hierarchical voxel grid, each relative to the keyframe that spawned it.
 
 pub mod anchor;
+pub mod depth;
 pub mod insertion;
 pub mod lod;
 pub mod pool;
