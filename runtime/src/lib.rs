@@ -10,6 +10,7 @@ pub mod pool;
 pub mod output;
 pub mod splat;
 pub mod map_store;
+pub mod export;
 pub mod telemetry;
 
 #[cfg(test)]

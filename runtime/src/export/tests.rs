@@ -1,0 +1,134 @@
+//! Whole exports of small maps.
+
+use super::*;
+use crate::map_store::{MapStoreWriter, StoreCapacity, StoreSettings, WhenBusy};
+use kilogs_core::camera::Pinhole;
+use kilogs_core::frame::PixelFormat;
+use kilogs_core::store::{AnchorRecord, MAX_LEVELS, Manifest};
+use ply_rs_bw::parser::Parser;
+use ply_rs_bw::ply::{DefaultElement, Property};
+
+const HEADER: &str = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n\
+    property float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\nproperty float nz\n\
+    property float f_dc_0\nproperty float f_dc_1\nproperty float f_dc_2\nproperty float opacity\n\
+    property float scale_0\nproperty float scale_1\nproperty float scale_2\n\
+    property float rot_0\nproperty float rot_1\nproperty float rot_2\nproperty float rot_3\nend_header\n";
+
+fn gaussian(opacity_logit: f32) -> GaussianParams {
+    GaussianParams {
+        offset: [0.0; 3],
+        log_scale: [-2.0; 3],
+        quaternion_xyzw: [0.6, 0.0, 0.0, 0.8],
+        opacity_logit,
+        color_logit: [0.0; 3],
+    }
+}
+
+/// Three pages of one keyframe each, 10 m apart, with two Gaussians 5 m ahead; one of the second page is not finite.
+fn write_map(folder: &Path) {
+    let manifest = Manifest {
+        camera: Pinhole { width: 16, height: 8, fx: 10.0, fy: 10.0, cx: 8.0, cy: 4.0 },
+        mounting: None,
+        pixel_format: PixelFormat::Mono8,
+        voxel_m: [1.0; MAX_LEVELS],
+        n_levels: 5,
+        gaussians_per_anchor: 2,
+        counts: None,
+    };
+    let capacity = StoreCapacity { page_bytes: 1024, page_buffers: 1, image_buffers: 1 };
+    let settings = StoreSettings { capacity, jpeg_quality: 90, when_busy: WhenBusy::Wait };
+    let store = MapStoreWriter::create(folder, &manifest, &settings).expect("a new store");
+    for id in 0..3 {
+        let keyframe = StoredKeyframe {
+            keyframe_id: id,
+            chunk_id: 0,
+            frame_index: u64::from(id),
+            timestamp_ns: 0,
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            translation_m: [0.0, 0.0, 10.0 * f64::from(id)],
+            scale: 1.0,
+            is_held_out: false,
+            image_bytes: 0,
+            image_crc: 0,
+        };
+        store.place_keyframe(&keyframe).expect("taken");
+        let label = PageLabel { page_id: id, first_keyframe_id: id, last_keyframe_id: id, ..PageLabel::default() };
+        let anchor = AnchorRecord {
+            position_in_keyframe_m: [0.0, 0.0, 5.0],
+            keyframe_id: id,
+            log_extent: [0.0; 3],
+            level: 0,
+            n_gaussians: 2,
+            reserved: 0,
+        };
+        let second = if id == 1 { f32::NAN } else { -2.0 };
+        let mut page = store.begin_page(label).expect("a buffer");
+        page.push(&anchor, &[gaussian(-1.0), gaussian(second)]).expect("room");
+        store.commit_page(page).expect("taken");
+    }
+    store.finish().expect("written");
+}
+
+fn export(map: &Path, file: &Path) -> Result<ExportSummary, ExportError> {
+    let args = ExportArgs { map: map.to_owned(), ply: Some(file.to_owned()), spz: None };
+    run(&args, 10)
+}
+
+#[test]
+fn an_independent_reader_finds_what_the_map_holds() {
+    let scratch = tempfile::tempdir().expect("a scratch folder");
+    write_map(&scratch.path().join("map"));
+    // The first page is damaged after the store was closed.
+    let page = scratch.path().join("map/pages/00000000.kgs");
+    let mut bytes = std::fs::read(&page).expect("read");
+    *bytes.last_mut().expect("not empty") ^= 1;
+    std::fs::write(&page, bytes).expect("written");
+
+    let file = scratch.path().join("street.ply");
+    // The run's folder is as good as the map's.
+    let summary = export(scratch.path(), &file).expect("exported");
+    assert_eq!(summary, ExportSummary { gaussians: 3, left_out: 1, damaged_pages: 1 });
+
+    let bytes = std::fs::read(&file).expect("read");
+    let header = HEADER.replace("vertex 4", "vertex 3");
+    assert_eq!(bytes.get(..header.len()), Some(header.as_bytes()));
+    assert_eq!(bytes.len(), header.len() + 3 * 17 * 4);
+    let parsed = Parser::<DefaultElement>::new().read_ply(&mut bytes.as_slice()).expect("a PLY file");
+    let vertices = &parsed.payload["vertex"];
+    let number = |row: usize, name: &str| match vertices[row][name] {
+        Property::Float(value) => value,
+        ref other => panic!("{other:?}"),
+    };
+    assert_eq!([number(0, "z"), number(1, "z"), number(2, "z")], [15.0, 25.0, 25.0]);
+    let expected = [("opacity", -1.0), ("scale_1", -2.0), ("rot_0", 0.8), ("rot_1", 0.6), ("rot_3", 0.0), ("ny", 0.0)];
+    for (name, value) in expected {
+        assert_eq!(number(0, name), value, "{name}");
+    }
+    assert_eq!(number(0, "f_dc_0"), 0.0);
+    assert_eq!(number(2, "opacity"), -2.0);
+}
+
+#[test]
+fn nothing_half_written_is_left_behind() {
+    let scratch = tempfile::tempdir().expect("a scratch folder");
+    write_map(scratch.path());
+    let missing = scratch.path().join("nowhere/street.ply");
+    let error = export(scratch.path(), &missing).expect_err("no such folder");
+    assert_eq!(error.code(), 1);
+    assert!(error.to_string().contains("nowhere/street.ply"), "{error}");
+
+    let full = scratch.path().join("full.ply");
+    std::os::unix::fs::symlink("/dev/full", scratch.path().join("full.ply.part")).expect("linked");
+    assert!(export(scratch.path(), &full).is_err());
+    assert!(!full.exists() && !scratch.path().join("full.ply.part").exists());
+}
+
+#[test]
+fn spz_and_a_missing_map_are_refused_with_their_exit_codes() {
+    let scratch = tempfile::tempdir().expect("a scratch folder");
+    let args = ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(PathBuf::from("a.spz")) };
+    let error = run(&args, 10).expect_err("not available");
+    assert!(error.code() == 2 && error.to_string().contains("--ply"), "{error}");
+    let error = export(scratch.path(), &scratch.path().join("a.ply")).expect_err("no map");
+    assert!(error.code() == 5 && error.to_string().contains("manifest.kgs"), "{error}");
+}
