@@ -20,10 +20,15 @@ mod drive_chart;
 mod histogram;
 pub mod report;
 
+mod html;
+mod renders;
+
 pub use drive_chart::{DriveBucket, DriveChart};
 pub use error::OutputError;
 pub use folder::{FrameCounts, OutputFolder};
 pub use histogram::Histogram;
+pub use html::write_html;
+pub use renders::{Picture, RenderedKeyframe, quantized, write_render};
 pub use report::Report;
 pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
 pub use trajectory::TrajectorySummary;
