@@ -4,6 +4,7 @@
 
 pub mod config;
 pub mod settings;
+pub mod doctor;
 pub mod budget;
 pub mod seal;
 pub mod pool;

@@ -29,6 +29,21 @@ pub struct PlanCameraArgs {
     pub pixel_bytes: u32,
 }
 
+impl PlanCameraArgs {
+    /// What the plan has to know, for a backend that computes in host memory.
+    pub fn plan_input(&self, mapping_resolution: f64) -> PlanInput {
+        let (width, height) = self.size;
+        PlanInput {
+            width,
+            height,
+            frame_bytes: u64::from(width) * u64::from(height) * u64::from(self.pixel_bytes),
+            color_channels: if self.pixel_bytes == 1 { 1 } else { 3 },
+            mapping_resolution,
+            device_has_own_memory: false,
+        }
+    }
+}
+
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
     let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse::<u32>().ok()?, h.parse::<u32>().ok()?)));
     match sides {
@@ -45,16 +60,7 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 /// [`BudgetError`] for a file that cannot be used and for a plan above its cap.
 pub fn run(args: &BudgetArgs, mapping_resolution: f64) -> Result<(), BudgetError> {
     let budget = Budget::load(args.budget.as_deref())?;
-    let (width, height) = args.camera.size;
-    let input = PlanInput {
-        width,
-        height,
-        frame_bytes: u64::from(width) * u64::from(height) * u64::from(args.camera.pixel_bytes),
-        color_channels: if args.camera.pixel_bytes == 1 { 1 } else { 3 },
-        mapping_resolution,
-        device_has_own_memory: false,
-    };
-    let plan = Plan::compute(&budget, &input);
+    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping_resolution));
     if !args.check {
         println!("{plan}");
     }

@@ -22,7 +22,7 @@ pub(crate) fn run(root: &Path) -> Result<(), StepFailed> {
     nostd_proof(root)?;
     // Tests that start the programs look for them beside their own executable.
     step(root, "programs", "cargo", &with(&["build"], &["--bins"]), &[])?;
-    let doc_lints = [("RUSTDOCFLAGS", "-D warnings")];
+    let doc_lints = [("RUSTDOCFLAGS", "-D warnings -A rustdoc::private_intra_doc_links")];
     step(root, "documentation", "cargo", &with(&["doc"], &["--no-deps", "--document-private-items"]), &doc_lints)?;
     let environment: &[(&str, &str)] = if has_vulkan { &[("KILOGS_REQUIRE_VULKAN", "1")] } else { &[] };
     if has_cargo_command("nextest") {

@@ -1,0 +1,124 @@
+//! The checks themselves; each looks at one thing of the machine.
+
+use super::Finding;
+use crate::budget::{HumanBytes, Plan};
+use crate::splat::cpu::SimdLevel;
+use std::path::Path;
+
+/// Where the frames of the capture process lie.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// Where Vulkan drivers announce themselves.
+const VULKAN_DRIVERS: [&str; 2] = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"];
+
+pub(super) fn cores() -> Finding {
+    let subject = "cores";
+    match std::thread::available_parallelism() {
+        Ok(cores) if cores.get() == 1 => {
+            Finding::fine(subject, "1: tracking and mapping share it, mapping gets what is left".to_owned())
+        }
+        Ok(cores) => Finding::fine(subject, cores.to_string()),
+        Err(error) => Finding::fine(subject, format!("unknown ({error}): one is assumed")),
+    }
+}
+
+pub(super) fn simd() -> Finding {
+    let best = SimdLevel::best();
+    let note = if best == SimdLevel::Baseline { ": mapping runs without SIMD, several times slower" } else { "" };
+    Finding::fine("SIMD", format!("{}{note}", best.name()))
+}
+
+pub(super) fn shared_memory(ipc_bytes: u64) -> Finding {
+    let subject = "shared memory";
+    let statistics = match rustix::fs::statvfs(SHARED_MEMORY) {
+        Ok(statistics) => statistics,
+        Err(error) => {
+            let advice = format!("mount a tmpfs there: mount -t tmpfs tmpfs {SHARED_MEMORY}");
+            return Finding::mend(subject, format!("{SHARED_MEMORY} cannot be used ({error})"), advice);
+        }
+    };
+    let free = statistics.f_bavail.saturating_mul(statistics.f_frsize);
+    let found = format!("{} free in {SHARED_MEMORY}, the frames need {}", HumanBytes(free), HumanBytes(ipc_bytes));
+    if free >= ipc_bytes {
+        return Finding::fine(subject, found);
+    }
+    let needed_mib = ipc_bytes.div_ceil(1 << 20);
+    let advice = format!(
+        "remove what is left there, or enlarge it: mount -o remount,size={needed_mib}m {SHARED_MEMORY} \
+         (in a container: --shm-size={needed_mib}m)"
+    );
+    Finding::mend(subject, found, advice)
+}
+
+pub(super) fn budget(plan: &Plan, file: &str) -> Finding {
+    match plan.check() {
+        Ok(()) => Finding::fine("budget", format!("{file}: the plan takes {}", HumanBytes(plan.host_bytes()))),
+        Err(error) => Finding::mend("budget", "the plan is above its cap".to_owned(), error.to_string()),
+    }
+}
+
+pub(super) fn machine_memory(planned_bytes: u64) -> Finding {
+    let subject = "memory";
+    let Some(available) = available_bytes() else {
+        return Finding::fine(subject, "unknown: there is no /proc/meminfo".to_owned());
+    };
+    let found = format!("{} available, the plan takes {}", HumanBytes(available), HumanBytes(planned_bytes));
+    if available >= planned_bytes {
+        return Finding::fine(subject, found);
+    }
+    Finding::mend(subject, found, "close other programs, or choose a smaller budget with --budget FILE".to_owned())
+}
+
+/// What the kernel can give, or less where a control group allows less.
+fn available_bytes() -> Option<u64> {
+    let of_machine = meminfo_available(&std::fs::read_to_string("/proc/meminfo").ok()?)?;
+    let read_number = |file: &str| std::fs::read_to_string(file).ok()?.trim().parse::<u64>().ok();
+    let limit = read_number("/sys/fs/cgroup/memory.max");
+    let used = read_number("/sys/fs/cgroup/memory.current").unwrap_or(0);
+    let of_group = limit.map_or(u64::MAX, |limit| limit.saturating_sub(used));
+    Some(of_machine.min(of_group))
+}
+
+fn meminfo_available(meminfo: &str) -> Option<u64> {
+    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim_end().parse::<u64>().ok()?.checked_mul(1024)
+}
+
+pub(super) fn vulkan() -> Finding {
+    let drivers: Vec<String> = VULKAN_DRIVERS.iter().flat_map(|folder| file_names(Path::new(folder))).collect();
+    let installed = if drivers.is_empty() { "none".to_owned() } else { drivers.join(", ") };
+    let found = format!("not used: this version renders and trains on the CPU only (drivers installed: {installed})");
+    Finding::fine("Vulkan", found)
+}
+
+fn file_names(folder: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return vec![] };
+    let mut names: Vec<_> = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+pub(super) fn models() -> Finding {
+    Finding::fine("models", "none needed: this version has no learned matcher and no depth network".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn too_little_memory_is_to_be_mended() {
+        let check = |finding: Finding, is_fine: bool| assert_eq!(finding.advice.is_none(), is_fine, "{finding}");
+        check(machine_memory(1), true);
+        check(machine_memory(u64::MAX), false);
+        check(shared_memory(1), true);
+        check(shared_memory(u64::MAX), false);
+        assert!(shared_memory(1 << 60).to_string().contains("--shm-size=1099511627776m"));
+    }
+
+    #[test]
+    fn available_memory_is_read() {
+        assert_eq!(meminfo_available("MemTotal: 9 kB\nMemAvailable:    1024 kB\n"), Some(1 << 20));
+        assert_eq!(meminfo_available("MemTotal: 9 kB\n"), None);
+    }
+}
