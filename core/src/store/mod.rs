@@ -6,7 +6,7 @@
 //!
 //! | file | records |
 //! |---|---|
-//! | page | [`PageLabel`], then one body of [`AnchorRecord`]s, each followed by its Gaussians |
+//! | page | [`PageLabel`], then one body of [`StoredAnchor`]s, each followed by its Gaussians |
 //! | chunk | one: decoder parameters (kind tag and bytes) and the directional background table |
 //! | keyframe log | one fixed-size record per keyframe or held-out view; the last one of a frame counts |
 //! | manifest | one: camera, mounting, pixel format, levels, capacity, counts |
@@ -23,7 +23,7 @@ pub use chunk::{
 pub use keyframe::{KEYFRAME_RECORD_BYTES, StoredKeyframe, decode_keyframe, encode_keyframe};
 pub use manifest::{MANIFEST_BYTES, MAX_LEVELS, Manifest, MapCounts, decode_manifest, encode_manifest};
 pub use page::{
-    AnchorRecord, PAGE_HEADER_BYTES, PageEncoder, PageFull, PageLabel, PageReader, decode_page, decode_page_label,
+    PAGE_HEADER_BYTES, PageEncoder, PageFull, PageLabel, PageReader, StoredAnchor, decode_page, decode_page_label,
     page_file_bytes,
 };
 pub use record::{RecordProblem, STORE_VERSION};

@@ -30,7 +30,7 @@ pub struct PageLabel {
 /// An anchor as stored: [`AnchorHeader`] with the keyframe's id in place of its row.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
-pub struct AnchorRecord {
+pub struct StoredAnchor {
     /// Centre of the anchor's voxel, m, in the frame of the keyframe that spawned it.
     pub position_in_keyframe_m: [f32; 3],
     /// Id of that keyframe.
@@ -44,9 +44,9 @@ pub struct AnchorRecord {
     /// Zero.
     pub reserved: u16,
 }
-const _: () = assert!(size_of::<AnchorRecord>() == 32);
+const _: () = assert!(size_of::<StoredAnchor>() == 32);
 
-impl AnchorRecord {
+impl StoredAnchor {
     /// The anchor without its place in the resident tables.
     pub fn from_header(anchor: &AnchorHeader, keyframe_id: u32) -> Self {
         Self {
@@ -79,7 +79,7 @@ const BODY_START: usize = PAGE_HEADER_BYTES + PREFIX_BYTES;
 
 /// Size of a page file, for buffers and budgets.
 pub const fn page_file_bytes(n_anchors: usize, n_gaussians: usize) -> usize {
-    BODY_START + n_anchors * size_of::<AnchorRecord>() + n_gaussians * size_of::<GaussianParams>()
+    BODY_START + n_anchors * size_of::<StoredAnchor>() + n_gaussians * size_of::<GaussianParams>()
 }
 
 /// The anchor does not fit into the page any more; the page is unchanged.
@@ -124,13 +124,13 @@ impl<B: AsMut<[u8]> + AsRef<[u8]>> PageEncoder<B> {
     ///
     /// # Errors
     /// [`PageFull`] when it does not fit, or when it has more Gaussians than the label or the slice allows.
-    pub fn push(&mut self, anchor: &AnchorRecord, gaussians: &[GaussianParams]) -> Result<(), PageFull> {
+    pub fn push(&mut self, anchor: &StoredAnchor, gaussians: &[GaussianParams]) -> Result<(), PageFull> {
         let full = PageFull { capacity_bytes: saturate(self.memory.as_ref().len()) };
         if u32::from(anchor.n_gaussians) > self.label.gaussians_per_anchor {
             return Err(full);
         }
         let gaussians = gaussians.get(..usize::from(anchor.n_gaussians)).ok_or(full)?;
-        let middle = self.used_bytes + size_of::<AnchorRecord>();
+        let middle = self.used_bytes + size_of::<StoredAnchor>();
         let end = middle + size_of_val(gaussians);
         let memory = self.memory.as_mut();
         memory.get_mut(middle..end).ok_or(full)?.copy_from_slice(gaussians.as_bytes());
@@ -204,7 +204,7 @@ fn check_body(label: &PageLabel, body: &[u8]) -> Result<(), RecordProblem> {
     let mut rest = body;
     while !rest.is_empty() {
         let wrong = RecordProblem::Inconsistent { element: n_anchors };
-        let (anchor, after) = AnchorRecord::read_from_prefix(rest).map_err(|_| wrong)?;
+        let (anchor, after) = StoredAnchor::read_from_prefix(rest).map_err(|_| wrong)?;
         let own = (label.first_keyframe_id..=label.last_keyframe_id).contains(&anchor.keyframe_id);
         let count = u32::from(anchor.n_gaussians);
         if !own || count > label.gaussians_per_anchor {
@@ -228,8 +228,8 @@ pub struct PageReader<'a> {
 
 impl PageReader<'_> {
     /// Next anchor; its Gaussians go to the front of `gaussians`, as many as fit. `None` after the last.
-    pub fn next_anchor(&mut self, gaussians: &mut [GaussianParams]) -> Option<AnchorRecord> {
-        let (anchor, mut rest) = AnchorRecord::read_from_prefix(self.body).ok()?;
+    pub fn next_anchor(&mut self, gaussians: &mut [GaussianParams]) -> Option<StoredAnchor> {
+        let (anchor, mut rest) = StoredAnchor::read_from_prefix(self.body).ok()?;
         for idx in 0..usize::from(anchor.n_gaussians) {
             let (gaussian, after) = GaussianParams::read_from_prefix(rest).ok()?;
             if let Some(place) = gaussians.get_mut(idx) {
@@ -258,8 +258,8 @@ mod tests {
         }
     }
 
-    fn anchor(keyframe_id: u32, n_gaussians: u8) -> AnchorRecord {
-        AnchorRecord {
+    fn anchor(keyframe_id: u32, n_gaussians: u8) -> StoredAnchor {
+        StoredAnchor {
             position_in_keyframe_m: [1.0, 2.0, 3.0 + keyframe_id as f32],
             keyframe_id,
             log_extent: [-2.0, -2.1, -2.2],
@@ -280,7 +280,7 @@ mod tests {
         revision: 0,
     };
 
-    fn page(anchors: &[AnchorRecord]) -> Vec<u8> {
+    fn page(anchors: &[StoredAnchor]) -> Vec<u8> {
         let mut memory = std::vec![0xa5; 1000];
         let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
         for anchor in anchors {

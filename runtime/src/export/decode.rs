@@ -2,7 +2,7 @@
 
 use kilogs_core::conventions::rotation_from_xyzw;
 use kilogs_core::map::GaussianParams;
-use kilogs_core::store::{AnchorRecord, StoredKeyframe};
+use kilogs_core::store::{StoredAnchor, StoredKeyframe};
 use nalgebra::Vector3;
 
 /// A Gaussian on its own.
@@ -24,7 +24,7 @@ pub(super) struct MapGaussian {
 /// has no finite place, shape or color.
 pub(super) fn decode_gaussian(
     keyframe: &StoredKeyframe,
-    anchor: &AnchorRecord,
+    anchor: &StoredAnchor,
     params: &GaussianParams,
 ) -> Option<MapGaussian> {
     let map_from_keyframe = rotation_from_xyzw(keyframe.rotation_xyzw);
@@ -68,7 +68,7 @@ mod tests {
         opacity_logit: -1.0,
         color_logit: [0.0, 100.0, -100.0],
     };
-    const ANCHOR: AnchorRecord = AnchorRecord {
+    const ANCHOR: StoredAnchor = StoredAnchor {
         position_in_keyframe_m: [1.0, 2.0, 10.0],
         keyframe_id: 0,
         log_extent: [0.0; 3],

@@ -4,7 +4,7 @@ use super::*;
 use crate::map_store::{MapStoreWriter, StoreCapacity, StoreSettings, WhenBusy};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::frame::PixelFormat;
-use kilogs_core::store::{AnchorRecord, MAX_LEVELS, Manifest};
+use kilogs_core::store::{MAX_LEVELS, Manifest, StoredAnchor};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
 
@@ -53,7 +53,7 @@ fn write_map(folder: &Path) {
         };
         store.place_keyframe(&keyframe).expect("taken");
         let label = PageLabel { page_id: id, first_keyframe_id: id, last_keyframe_id: id, ..PageLabel::default() };
-        let anchor = AnchorRecord {
+        let anchor = StoredAnchor {
             position_in_keyframe_m: [0.0, 0.0, 5.0],
             keyframe_id: id,
             log_extent: [0.0; 3],

@@ -5,7 +5,7 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::frame::PixelFormat;
 use kilogs_core::map::GaussianParams;
 use kilogs_core::store::{
-    AnchorRecord, ChunkBackground, ChunkLabel, DecoderParams, MAX_LEVELS, Manifest, PageLabel, RecordProblem,
+    ChunkBackground, ChunkLabel, DecoderParams, MAX_LEVELS, Manifest, PageLabel, RecordProblem, StoredAnchor,
     StoredKeyframe,
 };
 use nalgebra::Vector3;
@@ -50,8 +50,8 @@ fn keyframe(id: u32) -> StoredKeyframe {
     }
 }
 
-fn anchor(keyframe_id: u32) -> AnchorRecord {
-    AnchorRecord {
+fn anchor(keyframe_id: u32) -> StoredAnchor {
+    StoredAnchor {
         position_in_keyframe_m: [0.5, 0.25, 8.0],
         keyframe_id,
         log_extent: [-1.0; 3],
