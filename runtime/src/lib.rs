@@ -8,6 +8,7 @@ pub mod doctor;
 pub mod budget;
 pub mod seal;
 pub mod pool;
+pub mod input;
 pub mod output;
 pub mod splat;
 pub mod map_store;

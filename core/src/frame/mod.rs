@@ -26,6 +26,44 @@ pub enum PixelFormat {
     BayerRggb8 = 6,
 }
 
+impl PixelFormat {
+    /// The format with this number on the wire, `None` when there is none.
+    pub const fn from_wire(number: u32) -> Option<Self> {
+        match number {
+            1 => Some(Self::Mono8),
+            2 => Some(Self::Rgb8),
+            3 => Some(Self::Bgr8),
+            4 => Some(Self::Nv12),
+            5 => Some(Self::Yuyv),
+            6 => Some(Self::BayerRggb8),
+            _ => None,
+        }
+    }
+
+    /// Bytes of one row of `width` pixels without padding.
+    pub const fn row_bytes(self, width: u32) -> u64 {
+        let width = width as u64;
+        match self {
+            Self::Mono8 | Self::Nv12 | Self::BayerRggb8 => width,
+            Self::Rgb8 | Self::Bgr8 => 3 * width,
+            Self::Yuyv => 2 * width,
+        }
+    }
+
+    /// Rows of bytes that an image of `height` pixels has; NV12 carries half as many chroma rows below the luma.
+    pub const fn n_rows(self, height: u32) -> u64 {
+        match self {
+            Self::Nv12 => height as u64 + height.div_ceil(2) as u64,
+            _ => height as u64,
+        }
+    }
+
+    /// Bytes of a packed image.
+    pub const fn packed_bytes(self, width: u32, height: u32) -> u64 {
+        self.row_bytes(width) * self.n_rows(height)
+    }
+}
+
 /// Eight-bit grey image, rows `stride` bytes apart.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageView<'a> {
@@ -107,6 +145,23 @@ impl PartialEq for ImageView<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_format_is_found_by_its_wire_number_and_knows_its_size() {
+        let check = |number: u32, packed_bytes_of_6x4: Option<u64>| {
+            let format = PixelFormat::from_wire(number);
+            assert_eq!(format.map(|f| f as u32), packed_bytes_of_6x4.map(|_| number));
+            assert_eq!(format.map(|f| f.packed_bytes(6, 4)), packed_bytes_of_6x4, "format {number}");
+        };
+        check(0, None);
+        check(1, Some(24));
+        check(2, Some(72));
+        check(3, Some(72));
+        check(4, Some(36));
+        check(5, Some(48));
+        check(6, Some(24));
+        check(7, None);
+    }
 
     #[test]
     fn a_buffer_one_byte_short_is_refused() {

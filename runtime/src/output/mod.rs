@@ -16,6 +16,8 @@ mod trajectory;
 
 mod folder;
 
+mod publish;
+
 mod drive_chart;
 mod histogram;
 pub mod report;
@@ -29,6 +31,7 @@ pub use folder::{FrameCounts, OutputFolder};
 pub use histogram::Histogram;
 pub use html::write_html;
 pub use renders::{Picture, RenderedKeyframe, quantized, write_render};
+pub use publish::{HealthPublisher, MessagePublisher, OdometryPublisher};
 pub use report::Report;
 pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
 pub use trajectory::TrajectorySummary;

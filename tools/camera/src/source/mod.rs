@@ -1,8 +1,19 @@
 //! Where frames come from: a recorded folder or the simulated street.
 
+mod calibration;
+mod folder;
+mod image_file;
+mod playback;
+mod times;
+
+use std::path::{Path, PathBuf};
+
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::conventions::TimestampNs;
 pub use kilogs_core::frame::PixelFormat;
+
+pub use folder::{CameraDescription, FolderSource, describe};
+pub use playback::{Playback, PlaybackRange, STANDING_FRAMES, Schedule};
 
 /// What every frame of a source has in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +26,13 @@ pub struct SourceFormat {
     pub pixel_format: PixelFormat,
     /// Frames in the source, where that is known.
     pub n_frames: Option<u64>,
+}
+
+impl SourceFormat {
+    /// Bytes of one frame.
+    pub fn frame_bytes(&self) -> u64 {
+        self.pixel_format.packed_bytes(self.camera.width, self.camera.height)
+    }
 }
 
 /// What one frame carries beside its pixels.
@@ -30,13 +48,34 @@ pub struct FrameInfo {
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     /// A file could not be read or decoded; the text names it and says what to try.
-    #[error("reading {path}: {reason}")]
+    #[error("reading {}: {reason}", path.display())]
     File {
         /// The file.
-        path: std::path::PathBuf,
+        path: PathBuf,
         /// What is wrong with it, and what to try.
         reason: String,
     },
+    /// The camera's calibration is missing, contradictory or of a kind that is not supported.
+    #[error("setting up the camera from {}: {reason}", path.display())]
+    Camera {
+        /// Where the calibration came from, or should have come from.
+        path: PathBuf,
+        /// What is wrong with it, and what to try.
+        reason: String,
+    },
+    /// The wish cannot be fulfilled with this source.
+    #[error("playing back: {0}")]
+    Range(String),
+}
+
+impl SourceError {
+    pub(crate) fn file(path: &Path, reason: impl Into<String>) -> Self {
+        Self::File { path: path.to_owned(), reason: reason.into() }
+    }
+
+    pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Camera { path: path.to_owned(), reason: reason.into() }
+    }
 }
 
 /// Delivers frames in order, straight into the memory that is then published.
@@ -49,4 +88,22 @@ pub trait FrameSource {
     /// # Errors
     /// [`SourceError`] when this frame cannot be delivered; the next call goes on with the frame after it.
     fn next_frame(&mut self, pixels: &mut [u8]) -> Result<Option<FrameInfo>, SourceError>;
+}
+
+/// Delivers any frame of a finite recording; [`Playback`] turns it into a [`FrameSource`].
+pub trait IndexedFrames {
+    /// What every frame has in common.
+    fn format(&self) -> SourceFormat;
+
+    /// Number of frames, at least one.
+    fn n_frames(&self) -> u64;
+
+    /// What frame `index` carries beside its pixels; times rise with the index.
+    fn info(&self, index: u64) -> FrameInfo;
+
+    /// Writes the pixels of frame `index` into `pixels` (exactly the format's size in bytes).
+    ///
+    /// # Errors
+    /// [`SourceError`] when this frame cannot be delivered; other frames may still be.
+    fn read_frame(&mut self, index: u64, pixels: &mut [u8]) -> Result<(), SourceError>;
 }

@@ -1,0 +1,32 @@
+//! What came in, and how the camera process is.
+
+/// Frames by what became of them before they reached the tracker.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputCounts {
+    /// Handed to the tracker.
+    pub n_received: u64,
+    /// Refused for their header.
+    pub n_refused: u64,
+    /// Missing by their sequence numbers: overwritten before they were read, or never readable.
+    pub n_missing: u64,
+    /// How often another camera process took over.
+    pub n_restarts: u32,
+    /// Acknowledgements that could not be sent.
+    pub n_ack_failures: u64,
+}
+
+/// How the camera process is. The numbers are those of the health message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum CameraState {
+    /// No camera process was seen yet.
+    NeverCame = 0,
+    /// It is there and frames arrive.
+    Sending = 1,
+    /// It is there, but the last wait brought no frame.
+    Silent = 2,
+    /// It died or left without ending the stream.
+    Gone = 3,
+    /// It ended the stream.
+    Ended = 4,
+}

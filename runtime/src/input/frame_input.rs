@@ -1,0 +1,389 @@
+//! Frames out of the camera service, borrowed where the camera process wrote them.
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::identifiers::UniquePublisherId;
+use iceoryx2::port::{listener::Listener, notifier::Notifier, publisher::Publisher, subscriber::Subscriber};
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use kilogs_camera::ipc::{
+    self, Ack, FrameHeader, FramePage, FrameService, FrameSlots, HeaderVerdict, Ipc, IpcError, IpcNode, PreviousFrame,
+    ServiceFormat, ack_name, frames_name,
+};
+use kilogs_core::conventions::TimestampNs;
+use kilogs_core::frame::{ImageTooShort, ImageView, PixelFormat};
+use zerocopy::IntoBytes;
+
+use super::watch::CameraWatch;
+use super::{CameraState, InputCounts, InputError};
+
+/// What a frame input listens to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputSettings {
+    /// Service name without `/frames`.
+    pub service: String,
+    /// What every frame must look like.
+    pub format: ServiceFormat,
+    /// Slots, where the camera has not created the service before.
+    pub slots: FrameSlots,
+}
+
+/// What came of waiting.
+#[derive(Debug)]
+pub enum InputEvent<'input> {
+    /// A frame; it is acknowledged and given back when dropped.
+    Frame(BorrowedFrame<'input>),
+    /// This message cannot be used. It was counted and acknowledged.
+    Refused(HeaderVerdict),
+    /// A camera process is there: the first, or (with the restarts so far) one in the place of another.
+    CameraCame {
+        /// How many came before it.
+        n_restarts: u32,
+    },
+    /// The camera process died or left without ending the stream. Another one may come.
+    CameraGone {
+        /// How long ago its last frame arrived.
+        silent_for: Duration,
+    },
+    /// The stream is complete.
+    End,
+    /// Nothing happened.
+    Timeout(CameraState),
+}
+
+/// The tracker's end of a camera service.
+///
+/// One thread waits at a time. After its first frames, [`FrameInput::wait`] and the frames it lends do not allocate.
+pub struct FrameInput {
+    service: String,
+    format: ServiceFormat,
+    state: CameraState,
+    counts: InputCounts,
+    session: Option<Session>,
+    /// Acknowledged with the next wait, so that the camera process outlives the event that tells of its end.
+    unacknowledged_end: Option<u64>,
+    last_frame: Option<LastFrame>,
+    opened: Instant,
+    subscriber: Subscriber<Ipc, [FramePage], FrameHeader>,
+    listener: Listener<Ipc>,
+    ack_publisher: Publisher<Ipc, Ack, ()>,
+    wake_camera: Notifier<Ipc>,
+    frames: FrameService,
+    _watch: CameraWatch,
+    _node: IpcNode,
+}
+
+/// What is known of the camera process that sends at present.
+#[derive(Clone, Copy, Debug)]
+struct Session {
+    camera: UniquePublisherId,
+    previous: Option<PreviousFrame>,
+    has_ended: bool,
+    /// Added to its times, so that time goes on where a camera process starts anew.
+    time_shift_ns: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LastFrame {
+    timestamp_ns: TimestampNs,
+    arrived: Instant,
+}
+
+/// What a sample turned out to be.
+enum Judged {
+    Frame { pixel_format: PixelFormat, timestamp_ns: TimestampNs },
+    End,
+    Refused(HeaderVerdict),
+}
+
+/// One frame in the shared memory. Dropping it acknowledges it and gives the slot back.
+pub struct BorrowedFrame<'input> {
+    sample: Sample<Ipc, [FramePage], FrameHeader>,
+    pixel_format: PixelFormat,
+    timestamp_ns: TimestampNs,
+    input: &'input mut FrameInput,
+}
+
+impl FrameInput {
+    /// Attaches to the service, or creates it; the camera may come later.
+    ///
+    /// # Errors
+    /// [`InputError`] when the shared memory cannot be used or the name is taken.
+    pub fn open(settings: &InputSettings) -> Result<Self, InputError> {
+        let service = settings.service.as_str();
+        let advice = "another tracker may be attached already: end it, or choose another --service";
+        let failed = |e: &dyn std::fmt::Debug| IpcError::new("attaching to", service, e, advice);
+        let node = ipc::create_node(service)?;
+        let frames = ipc::open_frames(&node, service, &settings.slots)?;
+        let frame_events = ipc::open_events(&node, &frames_name(service))?;
+        let listener = frame_events.listener_builder().create().map_err(|e| failed(&e))?;
+        let subscriber = frames.subscriber_builder().create().map_err(|e| failed(&e))?;
+        let ack_events = ipc::open_events(&node, &ack_name(service))?;
+        let acks = ipc::open_acks(&node, service)?;
+        let ack_publisher = acks.publisher_builder().create().map_err(|e| failed(&e))?;
+        // Last, because it wakes a waiting camera, which then sends.
+        let wake_camera = ack_events.notifier_builder().create().map_err(|e| failed(&e))?;
+        Ok(Self {
+            service: service.to_owned(),
+            format: settings.format,
+            state: CameraState::NeverCame,
+            counts: InputCounts::default(),
+            session: None,
+            unacknowledged_end: None,
+            last_frame: None,
+            opened: Instant::now(),
+            subscriber,
+            listener,
+            ack_publisher,
+            wake_camera,
+            frames,
+            _watch: CameraWatch::start(service)?,
+            _node: node,
+        })
+    }
+
+    /// Waits for what comes next, at most `timeout`.
+    ///
+    /// # Errors
+    /// [`InputError`] when the shared memory breaks down; frames that cannot be used are events instead.
+    pub fn wait(&mut self, timeout: Duration) -> Result<InputEvent<'_>, InputError> {
+        let started = Instant::now();
+        if let Some(sequence) = self.unacknowledged_end.take() {
+            self.acknowledge(sequence);
+        }
+        loop {
+            // Before looking whether the camera is gone: what it sent still counts.
+            if let Some(sample) = self.receive()? {
+                return Ok(self.take(sample));
+            }
+            if let Some(event) = self.note_coming_and_going() {
+                return Ok(event);
+            }
+            let left = timeout.saturating_sub(started.elapsed());
+            if left.is_zero() {
+                if self.state == CameraState::Sending {
+                    self.state = CameraState::Silent;
+                }
+                return Ok(InputEvent::Timeout(self.state));
+            }
+            // An interrupted wait is a reason to look again, as an event is.
+            if self.listener.timed_wait(|_| (), left).is_err() {
+                std::thread::yield_now();
+            }
+        }
+    }
+
+    /// What came in so far.
+    pub fn counts(&self) -> InputCounts {
+        self.counts
+    }
+
+    /// How the camera process is, as of the last wait.
+    pub fn camera_state(&self) -> CameraState {
+        self.state
+    }
+
+    /// One sentence for the operator: what the camera does, and what to try.
+    pub fn describe_state(&self) -> String {
+        let service = &self.service;
+        let silent_s = self.silent_for().as_secs_f64();
+        match self.state {
+            CameraState::NeverCame => format!(
+                "waiting for a camera at \"{service}\": none within {silent_s:.1} s; is the camera process running \
+                 with --service {service}?"
+            ),
+            CameraState::Sending => format!("the camera at \"{service}\" sends"),
+            CameraState::Silent => format!(
+                "the camera process at \"{service}\" lives but has sent nothing for {silent_s:.1} s; is it stopped, \
+                 or its cable loose?"
+            ),
+            CameraState::Gone => format!(
+                "the camera process at \"{service}\" is gone, last frame {silent_s:.1} s ago; waiting for it to be \
+                 started again"
+            ),
+            CameraState::Ended => format!("the camera at \"{service}\" ended its stream"),
+        }
+    }
+
+    /// Shared memory of the frame slots, by the settings of the service as it is.
+    pub fn shared_bytes(&self, frame_bytes: u64) -> u64 {
+        let settings = self.frames.static_config();
+        let slots = FrameSlots {
+            subscribers: settings.max_subscribers(),
+            buffered: settings.subscriber_max_buffer_size(),
+            borrowed: settings.subscriber_max_borrowed_samples(),
+        };
+        slots.shared_bytes(frame_bytes)
+    }
+
+    fn receive(&self) -> Result<Option<Sample<Ipc, [FramePage], FrameHeader>>, IpcError> {
+        let advice = "check the space in /dev/shm, and start camera and tracker anew";
+        self.subscriber.receive().map_err(|e| IpcError::new("receiving a frame from", &self.service, e, advice))
+    }
+
+    fn take(&mut self, sample: Sample<Ipc, [FramePage], FrameHeader>) -> InputEvent<'_> {
+        let header = *sample.user_header();
+        let sent_bytes = sample.payload().as_bytes().len() as u64;
+        match self.judge(&header, sample.header().publisher_id(), sent_bytes) {
+            Judged::Frame { pixel_format, timestamp_ns } => {
+                InputEvent::Frame(BorrowedFrame { sample, pixel_format, timestamp_ns, input: self })
+            }
+            Judged::End => InputEvent::End,
+            Judged::Refused(verdict) => {
+                self.counts.n_refused += 1;
+                self.acknowledge(header.sequence);
+                InputEvent::Refused(verdict)
+            }
+        }
+    }
+
+    fn judge(&mut self, header: &FrameHeader, camera: UniquePublisherId, sent_bytes: u64) -> Judged {
+        let Some(mut session) = self.session_of(camera) else { return Judged::Refused(HeaderVerdict::SecondCamera) };
+        let judged = match header.judge(&self.format, session.previous, sent_bytes) {
+            HeaderVerdict::Accept { pixel_format, n_missing } => {
+                let timestamp_ns = self.continuous_time(&mut session, header.timestamp_ns);
+                self.format.pixel_format = Some(pixel_format);
+                self.state = CameraState::Sending;
+                self.last_frame = Some(LastFrame { timestamp_ns, arrived: Instant::now() });
+                self.counts.n_received += 1;
+                self.counts.n_missing += n_missing;
+                session.previous =
+                    Some(PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns });
+                Judged::Frame { pixel_format, timestamp_ns }
+            }
+            HeaderVerdict::End { n_missing } => {
+                session.has_ended = true;
+                self.state = CameraState::Ended;
+                self.counts.n_missing += n_missing;
+                self.unacknowledged_end = Some(header.sequence);
+                Judged::End
+            }
+            refusal => Judged::Refused(refusal),
+        };
+        self.session = Some(session);
+        judged
+    }
+
+    /// The session of this camera process; `None` while another one is alive.
+    fn session_of(&mut self, camera: UniquePublisherId) -> Option<Session> {
+        match self.session {
+            Some(session) if session.camera == camera => Some(session),
+            Some(session) if !session.has_ended && self.is_alive(session.camera) => None,
+            earlier => {
+                self.counts.n_restarts += u32::from(earlier.is_some());
+                Some(Session { camera, previous: None, has_ended: false, time_shift_ns: 0 })
+            }
+        }
+    }
+
+    fn is_alive(&self, camera: UniquePublisherId) -> bool {
+        let mut is_alive = false;
+        self.frames.dynamic_config().list_publishers(|details| {
+            is_alive |= details.publisher_id == camera;
+            CallbackProgression::Continue
+        });
+        is_alive
+    }
+
+    /// A camera process that starts anew may start its clock anew: its times then go on after the last one, by the
+    /// time that passed here.
+    fn continuous_time(&self, session: &mut Session, timestamp_ns: TimestampNs) -> TimestampNs {
+        if let (None, Some(last)) = (session.previous, self.last_frame)
+            && timestamp_ns <= last.timestamp_ns
+        {
+            let passed_ns = last.arrived.elapsed().as_nanos().max(1) as u64;
+            session.time_shift_ns = last.timestamp_ns + passed_ns - timestamp_ns;
+        }
+        timestamp_ns + session.time_shift_ns
+    }
+
+    fn note_coming_and_going(&mut self) -> Option<InputEvent<'static>> {
+        let is_there = match self.session {
+            Some(session) if !session.has_ended => self.is_alive(session.camera),
+            _ => self.frames.dynamic_config().number_of_publishers() > 0,
+        };
+        match (self.state, is_there) {
+            (CameraState::NeverCame | CameraState::Gone, true) => {
+                self.state = CameraState::Silent;
+                let n_restarts = self.counts.n_restarts;
+                Some(InputEvent::CameraCame { n_restarts })
+            }
+            (CameraState::Sending | CameraState::Silent, false) => {
+                self.state = CameraState::Gone;
+                Some(InputEvent::CameraGone { silent_for: self.silent_for() })
+            }
+            _ => None,
+        }
+    }
+
+    fn silent_for(&self) -> Duration {
+        self.last_frame.map_or(self.opened, |frame| frame.arrived).elapsed()
+    }
+
+    fn acknowledge(&mut self, sequence: u64) {
+        let is_sent = self.ack_publisher.send_copy(Ack { sequence }).is_ok();
+        if !(is_sent && self.wake_camera.notify().is_ok()) {
+            self.counts.n_ack_failures += 1;
+        }
+    }
+}
+
+impl Drop for FrameInput {
+    fn drop(&mut self) {
+        if let Some(sequence) = self.unacknowledged_end.take() {
+            self.acknowledge(sequence);
+        }
+    }
+}
+
+impl BorrowedFrame<'_> {
+    /// What the frame says about itself.
+    pub fn header(&self) -> &FrameHeader {
+        self.sample.user_header()
+    }
+
+    /// Middle of the exposure. Goes on where a camera process was started anew; otherwise that of the header.
+    pub fn timestamp_ns(&self) -> TimestampNs {
+        self.timestamp_ns
+    }
+
+    /// How the pixels are to be read.
+    pub fn pixel_format(&self) -> PixelFormat {
+        self.pixel_format
+    }
+
+    /// The pixels, in the memory that the camera process wrote.
+    pub fn pixels(&self) -> &[u8] {
+        let sent = self.sample.payload().as_bytes();
+        // The verdict made sure that the payload holds them.
+        &sent[..(self.header().payload_bytes as usize).min(sent.len())]
+    }
+
+    /// The pixels of a grey frame (or the luma plane) as an image.
+    ///
+    /// # Errors
+    /// [`ImageTooShort`] for formats whose rows are not grey pixels.
+    pub fn grey(&self) -> Result<ImageView<'_>, ImageTooShort> {
+        let header = self.header();
+        match self.pixel_format {
+            PixelFormat::Mono8 | PixelFormat::Nv12 => {
+                let [width, height, stride] = [header.width, header.height, header.stride_bytes].map(|n| n as usize);
+                ImageView::new(self.pixels(), width, height, stride)
+            }
+            _ => Err(ImageTooShort { bytes: 0, needed: header.payload_bytes as usize }),
+        }
+    }
+}
+
+impl Drop for BorrowedFrame<'_> {
+    fn drop(&mut self) {
+        let sequence = self.header().sequence;
+        self.input.acknowledge(sequence);
+    }
+}
+
+impl std::fmt::Debug for BorrowedFrame<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BorrowedFrame").field("header", self.header()).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,32 @@
+//! Where frames come in: the camera service, read in place, and the camera child of a replay.
+
+mod camera_child;
+mod counts;
+mod frame_input;
+mod mapping;
+mod watch;
+
+pub use camera_child::CameraChild;
+pub use counts::{CameraState, InputCounts};
+pub use frame_input::{BorrowedFrame, FrameInput, InputEvent, InputSettings};
+pub use kilogs_camera::ipc::{FrameSlots, HeaderVerdict, ServiceFormat, unique_service_name};
+pub use mapping::SharedMapping;
+
+/// Why frames cannot come in.
+#[derive(Debug, thiserror::Error)]
+pub enum InputError {
+    /// The communication could not be set up, or broke down.
+    #[error(transparent)]
+    Ipc(#[from] kilogs_camera::ipc::IpcError),
+    /// The camera process could not be started.
+    #[error("starting the camera process {program}: {source}; is the program still where it was?")]
+    Start {
+        /// What was started.
+        program: String,
+        /// What the system answered.
+        source: std::io::Error,
+    },
+    /// The thread that watches over the camera process could not be started.
+    #[error("starting the thread that watches the camera process: {0}; are there too many processes?")]
+    Watch(std::io::Error),
+}

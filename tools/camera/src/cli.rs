@@ -1,0 +1,217 @@
+//! The command line of the capture process; `kilogs` runs it in a child of its own.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::camera_file::CameraArgument;
+use crate::ipc::FrameSlots;
+use crate::publish::{Pace, PublishError, PublishSettings, publish};
+use crate::source::{FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
+
+/// How long a lock-step run waits for its tracker.
+const TRACKER_PATIENCE_S: f64 = 30.0;
+
+/// Publishes camera frames over iceoryx2: a recorded folder or a simulated street.
+///
+/// Example: kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live
+#[derive(Clone, Debug, Parser)]
+#[command(name = "kilogs-camera", version)]
+pub struct CameraArgs {
+    /// Where the frames come from.
+    #[command(subcommand)]
+    pub source: SourceArgs,
+}
+
+/// Where the frames come from.
+#[derive(Clone, Debug, Subcommand)]
+pub enum SourceArgs {
+    /// A recorded folder in the layout of KITTI odometry.
+    Folder(FolderArgs),
+}
+
+/// Arguments of `folder`.
+#[derive(Clone, Debug, Args)]
+pub struct FolderArgs {
+    /// Folder with image_0, image_2 or images, calib.txt and times.txt.
+    pub dataset: PathBuf,
+    /// camera.toml, or the preset `kitti` (1.65 m over the road, axes aligned; intrinsics from the data set).
+    #[arg(long, value_name = "FILE|kitti")]
+    pub camera: Option<String>,
+    /// Frames per second; needed where times.txt is missing, and used instead of it where given.
+    #[arg(long)]
+    pub fps: Option<f64>,
+    /// Which part is played.
+    #[command(flatten)]
+    pub range: RangeArgs,
+    /// How it is published.
+    #[command(flatten)]
+    pub publish: PublishArgs,
+}
+
+/// Which part of a recording is played.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct RangeArgs {
+    /// Leave out this many frames at the beginning.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub start: u64,
+    /// Play at most this many frames.
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// Play this many one-way passes, to and fro, with ten standing frames at each turn.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub ping_pong: u64,
+}
+
+/// How frames are published.
+#[derive(Clone, Debug, Args)]
+pub struct PublishArgs {
+    /// Service name; a tracker attaches with `kilogs run --service NAME`.
+    #[arg(long, default_value = "front", value_name = "NAME")]
+    pub service: String,
+    /// Play at the recorded speed, whether the tracker keeps up or not. Otherwise each frame waits for the tracker.
+    #[arg(long)]
+    pub live: bool,
+    /// With --live: this many times the recorded speed.
+    #[arg(long, default_value_t = 1.0, requires = "live", value_name = "R", value_parser = parse_rate)]
+    pub rate: f64,
+    /// Wait this many seconds for a tracker before the first frame [default: 30; with --live: do not wait].
+    #[arg(long, value_name = "S", value_parser = parse_seconds)]
+    pub wait_for_tracker: Option<f64>,
+    /// Which camera of the vehicle.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub camera_id: u32,
+    /// Show no progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Why the capture process failed.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// The source could not be opened.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// Publishing ended early.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// Ctrl-C could not be taken over.
+    #[error("taking over Ctrl-C: {0}; is another handler installed?")]
+    Signals(#[from] ctrlc::Error),
+}
+
+impl CameraError {
+    /// Exit code: 1 when the run failed, 2 when the configuration is wrong, 3 when the input is.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Source(SourceError::File { .. }) | Self::Publish(PublishError::NothingReadable { .. }) => 3,
+            Self::Source(SourceError::Camera { .. } | SourceError::Range(_)) => 2,
+            Self::Publish(_) | Self::Signals(_) => 1,
+        }
+    }
+}
+
+impl RangeArgs {
+    /// The part as the source understands it.
+    pub fn range(&self) -> PlaybackRange {
+        PlaybackRange { start: self.start, frames: self.frames, passes: self.ping_pong }
+    }
+}
+
+impl PublishArgs {
+    fn settings(&self) -> PublishSettings {
+        let pace = if self.live { Pace::Live { rate: self.rate } } else { Pace::LockStep };
+        let patience_s = self.wait_for_tracker.or((!self.live).then_some(TRACKER_PATIENCE_S));
+        PublishSettings {
+            service: self.service.clone(),
+            pace,
+            tracker_patience: patience_s.map(Duration::from_secs_f64),
+            slots: FrameSlots::DEFAULT,
+            camera_id: self.camera_id,
+        }
+    }
+}
+
+/// Runs the capture process until its source ends or Ctrl-C is pressed.
+///
+/// # Errors
+/// [`CameraError`], with the exit code in it.
+pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
+    match &args.source {
+        SourceArgs::Folder(folder) => {
+            let camera = folder.camera.as_deref().map(CameraArgument::from);
+            let frames = FolderSource::open(&folder.dataset, camera.as_ref(), folder.fps)?;
+            run_source(&mut Playback::new(frames, &folder.range.range())?, &folder.publish)
+        }
+    }
+}
+
+fn run_source(source: &mut dyn FrameSource, args: &PublishArgs) -> Result<(), CameraError> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let stop_on_signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || stop_on_signal.store(true, Ordering::Relaxed))?;
+    let bar = progress_bar(source.format().n_frames, args.quiet);
+    let report = publish(source, &args.settings(), &stop, &mut |sequence| bar.set_position(sequence + 1))?;
+    bar.finish_and_clear();
+    log::info!(
+        "{} frames sent, {} left out because they could not be read{}",
+        report.n_sent,
+        report.n_unreadable,
+        if report.is_interrupted { ", interrupted" } else { "" }
+    );
+    Ok(())
+}
+
+fn progress_bar(n_frames: Option<u64>, is_quiet: bool) -> ProgressBar {
+    let bar = match n_frames {
+        _ if is_quiet => ProgressBar::hidden(),
+        Some(n_frames) => ProgressBar::new(n_frames),
+        None => ProgressBar::new_spinner(),
+    };
+    match ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left") {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if rate.is_finite() && rate > 0.0 => Ok(rate),
+        _ => Err("give a number above 0, for example 2".to_owned()),
+    }
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.0..1e6).contains(&seconds) => Ok(seconds),
+        _ => Err("give a number of seconds from 0 on".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn settings(words: &[&str]) -> Result<PublishSettings, String> {
+        let args = CameraArgs::try_parse_from(["kilogs-camera", "folder", "data"].iter().chain(words));
+        let SourceArgs::Folder(folder) = args.map_err(|e| e.to_string())?.source;
+        Ok(folder.publish.settings())
+    }
+
+    #[test]
+    fn the_command_line_holds_together() {
+        CameraArgs::command().debug_assert();
+        let lock_step = settings(&[]).expect("defaults");
+        assert_eq!((lock_step.pace, lock_step.tracker_patience), (Pace::LockStep, Some(Duration::from_secs(30))));
+        let live = settings(&["--live", "--rate", "2.5"]).expect("live");
+        assert_eq!((live.pace, live.tracker_patience), (Pace::Live { rate: 2.5 }, None));
+        for bad in [&["--rate", "2"][..], &["--live", "--rate", "0"], &["--live", "--rate", "NaN"], &["--ping-pong", "0"]] {
+            assert!(settings(bad).is_err(), "{bad:?}");
+        }
+    }
+}
