@@ -18,9 +18,7 @@ impl CameraChild {
     ///
     /// # Errors
     /// [`InputError::Start`] when the program cannot be started.
-    pub fn start<Argument: Into<OsString>>(
-        arguments: impl IntoIterator<Item = Argument>,
-    ) -> Result<Self, InputError> {
+    pub fn start<Argument: Into<OsString>>(arguments: impl IntoIterator<Item = Argument>) -> Result<Self, InputError> {
         let failed = |program: String| move |source| InputError::Start { program, source };
         let program = std::env::current_exe().map_err(failed("(own executable)".to_owned()))?;
         let child = Command::new(&program)

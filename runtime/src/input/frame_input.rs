@@ -247,8 +247,7 @@ impl FrameInput {
                 self.last_frame = Some(LastFrame { timestamp_ns, arrived: Instant::now() });
                 self.counts.n_received += 1;
                 self.counts.n_missing += n_missing;
-                session.previous =
-                    Some(PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns });
+                session.previous = Some(PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns });
                 Judged::Frame { pixel_format, timestamp_ns }
             }
             HeaderVerdict::End { n_missing } => {

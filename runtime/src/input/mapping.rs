@@ -22,7 +22,10 @@ impl SharedMapping {
         let range = bytes.as_ptr_range();
         let (start, end) = (range.start.addr(), range.end.addr());
         let lines = BufReader::new(File::open("/proc/self/maps").ok()?).lines();
-        lines.map_while(Result::ok).filter_map(|line| parse(&line)).find(|mapping| mapping.start <= start && end <= mapping.end)
+        lines
+            .map_while(Result::ok)
+            .filter_map(|line| parse(&line))
+            .find(|mapping| mapping.start <= start && end <= mapping.end)
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use iceoryx2::prelude::PortFactory;
 use kilogs_camera::ipc::{FrameSlots, create_node, open_frames};
 
 use super::InputError;

@@ -193,8 +193,9 @@ impl TypedCamera {
         match self.model {
             None | Some(LensModel::Pinhole) => (),
             Some(LensModel::RadialTangential | LensModel::KannalaBrandt) => {
-                return Err("this lens model is not supported yet; rectify the images and write model = \"pinhole\""
-                    .to_owned());
+                return Err(
+                    "this lens model is not supported yet; rectify the images and write model = \"pinhole\"".to_owned()
+                );
             }
         }
         if self.coefficients.iter().any(|&coefficient| coefficient != 0.0) {

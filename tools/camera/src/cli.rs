@@ -11,6 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::camera_file::CameraArgument;
 use crate::ipc::FrameSlots;
 use crate::publish::{Pace, PublishError, PublishSettings, publish};
+use crate::sim::{SimArgs, SimError, Simulator};
 use crate::source::{FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
 
 /// How long a lock-step run waits for its tracker.
@@ -32,6 +33,19 @@ pub struct CameraArgs {
 pub enum SourceArgs {
     /// A recorded folder in the layout of KITTI odometry.
     Folder(FolderArgs),
+    /// A simulated street.
+    Sim(SimulationArgs),
+}
+
+/// Arguments of `sim`.
+#[derive(Clone, Debug, Args)]
+pub struct SimulationArgs {
+    /// What is simulated.
+    #[command(flatten)]
+    pub sim: SimArgs,
+    /// How it is published.
+    #[command(flatten)]
+    pub publish: PublishArgs,
 }
 
 /// Arguments of `folder`.
@@ -96,6 +110,9 @@ pub enum CameraError {
     /// The source could not be opened.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// The drive cannot be simulated.
+    #[error(transparent)]
+    Simulation(#[from] SimError),
     /// Publishing ended early.
     #[error(transparent)]
     Publish(#[from] PublishError),
@@ -108,7 +125,9 @@ impl CameraError {
     /// Exit code: 1 when the run failed, 2 when the configuration is wrong, 3 when the input is.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Source(SourceError::File { .. }) | Self::Publish(PublishError::NothingReadable { .. }) => 3,
+            Self::Source(SourceError::File { .. })
+            | Self::Simulation(_)
+            | Self::Publish(PublishError::NothingReadable { .. }) => 3,
             Self::Source(SourceError::Camera { .. } | SourceError::Range(_)) => 2,
             Self::Publish(_) | Self::Signals(_) => 1,
         }
@@ -147,6 +166,7 @@ pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
             let frames = FolderSource::open(&folder.dataset, camera.as_ref(), folder.fps)?;
             run_source(&mut Playback::new(frames, &folder.range.range())?, &folder.publish)
         }
+        SourceArgs::Sim(simulation) => run_source(&mut Simulator::new(&simulation.sim)?, &simulation.publish),
     }
 }
 
@@ -199,8 +219,10 @@ mod tests {
 
     fn settings(words: &[&str]) -> Result<PublishSettings, String> {
         let args = CameraArgs::try_parse_from(["kilogs-camera", "folder", "data"].iter().chain(words));
-        let SourceArgs::Folder(folder) = args.map_err(|e| e.to_string())?.source;
-        Ok(folder.publish.settings())
+        match args.map_err(|e| e.to_string())?.source {
+            SourceArgs::Folder(folder) => Ok(folder.publish.settings()),
+            SourceArgs::Sim(_) => Err("a folder was asked for".to_owned()),
+        }
     }
 
     #[test]
@@ -210,7 +232,9 @@ mod tests {
         assert_eq!((lock_step.pace, lock_step.tracker_patience), (Pace::LockStep, Some(Duration::from_secs(30))));
         let live = settings(&["--live", "--rate", "2.5"]).expect("live");
         assert_eq!((live.pace, live.tracker_patience), (Pace::Live { rate: 2.5 }, None));
-        for bad in [&["--rate", "2"][..], &["--live", "--rate", "0"], &["--live", "--rate", "NaN"], &["--ping-pong", "0"]] {
+        for bad in
+            [&["--rate", "2"][..], &["--live", "--rate", "0"], &["--live", "--rate", "NaN"], &["--ping-pong", "0"]]
+        {
             assert!(settings(bad).is_err(), "{bad:?}");
         }
     }

@@ -235,12 +235,8 @@ impl Outlet {
     }
 
     fn send(&mut self, sample: FrameSample, sequence: u64, frame: FrameInfo) -> Result<(), IpcError> {
-        let header = FrameHeader {
-            sequence,
-            timestamp_ns: frame.timestamp_ns,
-            exposure_us: frame.exposure_us,
-            ..self.header
-        };
+        let header =
+            FrameHeader { sequence, timestamp_ns: frame.timestamp_ns, exposure_us: frame.exposure_us, ..self.header };
         self.last_sent = Some(frame);
         self.send_with(sample, header)
     }
@@ -281,7 +277,9 @@ impl Outlet {
     }
 
     fn is_ack_due(&mut self) -> Result<bool, IpcError> {
-        while let Some(ack) = self.ack_subscriber.receive().map_err(|e| self.broken("reading acknowledgements at", e))? {
+        while let Some(ack) =
+            self.ack_subscriber.receive().map_err(|e| self.broken("reading acknowledgements at", e))?
+        {
             self.last_acked = self.last_acked.max(Some(ack.sequence));
         }
         Ok(self.last_acked < self.last_sent_sequence)

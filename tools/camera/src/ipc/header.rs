@@ -175,12 +175,7 @@ impl FrameHeader {
     }
 
     /// Decides whether the frame can be used. `sent_bytes` is what arrived beside the header.
-    pub fn judge(
-        &self,
-        expected: &ServiceFormat,
-        previous: Option<PreviousFrame>,
-        sent_bytes: u64,
-    ) -> HeaderVerdict {
+    pub fn judge(&self, expected: &ServiceFormat, previous: Option<PreviousFrame>, sent_bytes: u64) -> HeaderVerdict {
         if self.magic != FRAME_MAGIC {
             return HeaderVerdict::BadMagic { found: self.magic };
         }
@@ -322,9 +317,7 @@ mod tests {
             let spoil = |h: &mut FrameHeader| (h.stride_bytes, h.payload_bytes) = (stride_bytes, claimed_bytes);
             let verdict = match needed_bytes {
                 None => HeaderVerdict::Accept { pixel_format: PixelFormat::Mono8, n_missing: 0 },
-                Some(needed_bytes) => {
-                    HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes: SENT_BYTES }
-                }
+                Some(needed_bytes) => HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes: SENT_BYTES },
             };
             check(spoil, verdict);
         };

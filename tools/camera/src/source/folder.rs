@@ -150,18 +150,15 @@ fn first_readable(reader: &mut ImageReader, folder: &Path, names: &[Box<str>]) -
         match reader.probe(&path) {
             Ok(kind) => return Ok(kind),
             Err(reason) => {
-                first_problem.get_or_insert_with(|| SourceError::file(&path, format!("{reason}; no image can be read")));
+                first_problem
+                    .get_or_insert_with(|| SourceError::file(&path, format!("{reason}; no image can be read")));
             }
         }
     }
     Err(first_problem.unwrap_or_else(|| SourceError::file(folder, "the folder has no images")))
 }
 
-fn read_format(
-    layout: &Layout,
-    camera: Option<&CameraArgument>,
-    kind: ImageKind,
-) -> Result<SourceFormat, SourceError> {
+fn read_format(layout: &Layout, camera: Option<&CameraArgument>, kind: ImageKind) -> Result<SourceFormat, SourceError> {
     let calib_path = layout.root.join("calib.txt");
     let beside = [&layout.root, &layout.folder].map(|folder| folder.join(CAMERA_FILE_NAME));
     let beside = beside.iter().find(|path| path.is_file());

@@ -78,7 +78,9 @@ fn decode_into(decoder: impl ImageDecoder, expected: ImageKind, pixels: &mut [u8
         (ColorType::L8, PixelFormat::Mono8) | (ColorType::Rgb8, PixelFormat::Rgb8) => {
             return decoder.read_image(pixels).map_err(|e| e.to_string());
         }
-        (_, PixelFormat::Mono8) => DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?.to_luma8().into_raw(),
+        (_, PixelFormat::Mono8) => {
+            DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?.to_luma8().into_raw()
+        }
         (_, PixelFormat::Rgb8) => DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?.to_rgb8().into_raw(),
         (_, other) => return Err(format!("image files are not converted to {other:?}")),
     };
@@ -127,7 +129,13 @@ mod tests {
         RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| Rgb([(x * 9) as u8, (y * 9) as u8, 77])).into()
     }
 
-    fn check(image: &DynamicImage, name: &str, keep: Option<usize>, size: [u32; 2], as_format: PixelFormat) -> Result<Vec<u8>, String> {
+    fn check(
+        image: &DynamicImage,
+        name: &str,
+        keep: Option<usize>,
+        size: [u32; 2],
+        as_format: PixelFormat,
+    ) -> Result<Vec<u8>, String> {
         let (_folder, path) = write(image, name, keep);
         let mut pixels = vec![0; as_format.packed_bytes(size[0], size[1]) as usize];
         let expected = ImageKind { size, pixel_format: as_format };

@@ -85,8 +85,8 @@ impl Schedule {
             1 => LONE_FRAME_INTERVAL_NS,
             length => pass_ns / (length - 1),
         };
-        let moved_ns = time_of_frame(self.frame_at(place.pass, place.moved))
-            .abs_diff(time_of_frame(self.frame_at(place.pass, 0)));
+        let moved_ns =
+            time_of_frame(self.frame_at(place.pass, place.moved)).abs_diff(time_of_frame(self.frame_at(place.pass, 0)));
         first_ns + place.pass * (pass_ns + STANDING_FRAMES * standing_ns) + moved_ns + place.stood * standing_ns
     }
 
@@ -187,8 +187,7 @@ mod tests {
 
         // Uneven intervals of 10 and 30 ns, 20 ns on average.
         let time_of_frame = |index: u64| [0, 100, 110, 140][index as usize];
-        let times: Vec<u64> =
-            (0..schedule.n_steps()).map(|step| schedule.timestamp_ns(step, time_of_frame)).collect();
+        let times: Vec<u64> = (0..schedule.n_steps()).map(|step| schedule.timestamp_ns(step, time_of_frame)).collect();
         assert!(times.is_sorted_by(|a, b| a < b), "{times:?}");
         assert_eq!(times[..4], [100, 110, 140, 160]);
         assert_eq!(times[12..16], [340, 370, 380, 400]);
