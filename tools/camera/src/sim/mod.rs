@@ -14,7 +14,7 @@ mod truth;
 
 pub use path::{Drive, Waypoint};
 pub use render::VIEW_DISTANCE_M;
-pub use truth::{TruthWriter, write_dataset};
+pub use truth::{TruthRecorder, TruthWriter, write_dataset};
 
 use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use candidates::{Candidates, Frame};
