@@ -61,6 +61,21 @@ pub enum EvalError {
         /// Poses in the truth.
         known: usize,
     },
+    /// The truth and the data set's times are of different recordings; name the folder that fits.
+    #[error(
+        "judging against {truth}: it has {n_poses} poses, but {times} has {n_times} times; \
+         name the folder whose times.txt fits with --dataset"
+    )]
+    OtherTimes {
+        /// The times.
+        times: PathBuf,
+        /// The truth.
+        truth: PathBuf,
+        /// Lines of the times.
+        n_times: usize,
+        /// Lines of the truth.
+        n_poses: usize,
+    },
     /// `eval.json` could not be written; check space and permissions of the folder.
     #[error("writing {path}: {source}; check free space and permissions of the folder")]
     Unwritable {
@@ -208,6 +223,10 @@ fn stamped_truth(dir: &Path, gt: &Path, dataset: Option<&Path>) -> Result<(Vec<S
     let times_file = folder.join("times.txt");
     if dataset.is_some() || times_file.exists() {
         let times_s = read_times(&times_file)?;
+        if times_s.len() != poses.len() {
+            let (n_times, n_poses) = (times_s.len(), poses.len());
+            return Err(EvalError::OtherTimes { times: times_file, truth: gt.to_owned(), n_times, n_poses });
+        }
         let stamp = |(&time_s, &world_from_camera)| StampedPose { time_s, world_from_camera };
         let stamped = times_s.iter().zip(&poses).map(stamp).collect();
         return Ok((stamped, format!("times of {}", times_file.display())));

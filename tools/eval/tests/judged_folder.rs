@@ -107,6 +107,8 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
     run_folder(run.path(), 500, 10, 1.0);
     dataset(data.path(), 20, true);
     assert!(complaint().contains("none of 10 poses belongs to any of 20"), "{}", complaint());
+    write(data.path(), "times.txt", "0.0\n0.1\n".to_owned());
+    assert!(complaint().contains("it has 20 poses, but") && complaint().contains("has 2 times"), "{}", complaint());
     write(data.path(), "poses.txt", "1 2 3\n".to_owned());
     assert!(complaint().contains("line 1 has 3 numbers, 12 are needed"), "{}", complaint());
     run_folder(run.path(), 0, 10, 1.0);
