@@ -19,6 +19,14 @@ pub mod gate;
 
 pub mod pose;
 
+pub mod scale;
+
+pub mod verify;
+
+pub mod keyframe;
+
+pub mod bundle;
+
 pub mod tracking;
 
 pub mod map;

@@ -1,0 +1,7 @@
+//! The last keyframes and the landmarks that they share.
+
+mod landmark;
+mod window;
+
+pub use landmark::{Column, Landmark, WINDOW};
+pub use window::{Keyframe, KeyframeWindow};

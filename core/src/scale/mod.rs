@@ -1,0 +1,7 @@
+//! Metres without a network: the road under the camera is at a known distance.
+
+pub mod ground_plane;
+mod scale_filter;
+
+pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road};
+pub use scale_filter::{ScaleFilter, ScaleFilterSettings, ScaleUpdate};

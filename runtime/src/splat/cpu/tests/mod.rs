@@ -1,4 +1,0 @@
-//! Tests of the whole chain.
-
-mod compare;
-mod golden;
