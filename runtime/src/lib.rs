@@ -13,6 +13,7 @@ pub mod output;
 pub mod splat;
 pub mod map_store;
 pub mod export;
+pub mod render_views;
 pub mod telemetry;
 
 #[cfg(test)]
