@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::camera_file::CameraArgument;
 use crate::ipc::FrameSlots;
 use crate::publish::{Pace, PublishError, PublishSettings, publish};
-use crate::sim::{SimArgs, SimError, Simulator};
+use crate::sim::{SimArgs, SimError, Simulator, TruthRecorder, write_dataset};
 use crate::source::{FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
 
 /// How long a lock-step run waits for its tracker.
@@ -43,6 +43,12 @@ pub struct SimulationArgs {
     /// What is simulated.
     #[command(flatten)]
     pub sim: SimArgs,
+    /// Write the truth beside publishing: poses, times, calibration, depth, in KITTI's layout.
+    #[arg(long, value_name = "DIR")]
+    pub truth: Option<PathBuf>,
+    /// Write the whole drive, images and truth, as a recorded folder, and publish nothing.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["truth", "live", "service"])]
+    pub write: Option<PathBuf>,
     /// How it is published.
     #[command(flatten)]
     pub publish: PublishArgs,
@@ -166,7 +172,28 @@ pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
             let frames = FolderSource::open(&folder.dataset, camera.as_ref(), folder.fps)?;
             run_source(&mut Playback::new(frames, &folder.range.range())?, &folder.publish)
         }
-        SourceArgs::Sim(simulation) => run_source(&mut Simulator::new(&simulation.sim)?, &simulation.publish),
+        SourceArgs::Sim(simulation) => run_simulation(simulation),
+    }
+}
+
+fn run_simulation(args: &SimulationArgs) -> Result<(), CameraError> {
+    if let Some(folder) = &args.write {
+        let bar = progress_bar(None, args.publish.quiet);
+        write_dataset(&args.sim, folder, |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        })?;
+        bar.finish_and_clear();
+        return Ok(());
+    }
+    let simulator = Simulator::new(&args.sim)?;
+    match &args.truth {
+        Some(folder) => {
+            let mut recorded = TruthRecorder::create(folder, simulator)?;
+            run_source(&mut recorded, &args.publish)?;
+            Ok(recorded.finish()?)
+        }
+        None => run_source(&mut { simulator }, &args.publish),
     }
 }
 

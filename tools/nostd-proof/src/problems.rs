@@ -2,15 +2,21 @@
 
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
+use kilogs_core::features::lk::track_there_and_back;
+use kilogs_core::features::{Flow, LkSettings, SimdLevel};
+use kilogs_core::frame::{ImageView, Pyramid};
 use kilogs_core::math::{Rng, se3};
-use nalgebra::{Matrix2x3, Matrix2x6, Matrix3x6, Matrix6, Vector2, Vector3, Vector6};
+use kilogs_core::pose::{Match, RelativeSettings, estimate_relative};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix3x6, Matrix6, Point3, Vector2, Vector3, Vector6};
 
 const CAMERA: Pinhole = Pinhole { width: 160, height: 120, fx: 120.0, fy: 120.0, cx: 80.0, cy: 60.0 };
 const N_POINTS: usize = 64;
 
 /// Solves every problem; the error names the one whose answer was wrong.
 pub fn solve_all() -> Result<(), &'static str> {
-    pose_from_points()
+    pose_from_points()?;
+    motion_from_matches()?;
+    points_through_images()
 }
 
 /// Points ahead of the camera, the same in every run.
@@ -31,11 +37,10 @@ fn pose_from_points() -> Result<(), &'static str> {
         let mut information = Matrix6::zeros();
         let mut gradient = Vector6::zeros();
         for point_in_world in &points_in_world {
-            let Some(seen) = CAMERA.project(&(true_camera_from_world * nalgebra::Point3::from(*point_in_world)).coords)
-            else {
+            let Some(seen) = CAMERA.project(&(true_camera_from_world * Point3::from(*point_in_world)).coords) else {
                 return Err("a point lies behind the true camera");
             };
-            let point_in_camera = (camera_from_world * nalgebra::Point3::from(*point_in_world)).coords;
+            let point_in_camera = (camera_from_world * Point3::from(*point_in_world)).coords;
             let Some((predicted, jacobian)) = projection_with_jacobian(&point_in_camera) else {
                 return Err("a point lies behind the estimated camera");
             };
@@ -59,4 +64,75 @@ fn projection_with_jacobian(point_in_camera: &Vector3<f64>) -> Option<(Vector2<f
     by_tangent.fixed_columns_mut::<3>(0).copy_from(&-se3::skew(point_in_camera));
     by_tangent.fixed_columns_mut::<3>(3).fill_with_identity();
     Some((pixel, by_point * by_tangent))
+}
+
+/// Finds the motion between two views from matches of which every fifth is wrong.
+fn motion_from_matches() -> Result<(), &'static str> {
+    let second_from_first = se3::exp(&Vector6::new(0.01, 0.06, -0.01, 0.1, 0.0, -0.9));
+    let mut matches = [Match::default(); N_POINTS];
+    for (i, (slot, point_in_first)) in matches.iter_mut().zip(points_in_world()).enumerate() {
+        let point_in_second = (second_from_first * Point3::from(point_in_first)).coords;
+        let wrong = if i % 5 == 0 { 0.1 } else { 0.0 };
+        let second_z1 = point_in_second.xy() / point_in_second.z + Vector2::new(0.0, wrong);
+        *slot = Match { first_z1: point_in_first.xy() / point_in_first.z, second_z1 };
+    }
+    let settings = RelativeSettings { inlier_z1: 1e-3, confidence: 0.999, trials: [10, 500], local_iterations: 10 };
+    let mut is_inlier = [false; N_POINTS];
+    let mut rng = Rng::new(4, 5, 6);
+    let Ok(found) = estimate_relative(&matches, None, &settings, &mut rng, &mut is_inlier) else {
+        return Err("no motion was found from the matches");
+    };
+    let rotation_error_rad = found.second_from_first.rotation.angle_to(&second_from_first.rotation);
+    let direction = second_from_first.translation.vector.normalize();
+    let is_right = rotation_error_rad < 1e-6 && found.second_from_first.direction.dot(&direction) > 1.0 - 1e-9;
+    if is_right { Ok(()) } else { Err("the motion from matches is wrong") }
+}
+
+const WIDTH: usize = 160;
+const HEIGHT: usize = 120;
+const N_LEVELS: usize = 3;
+
+/// Generous; the exact number is `kilogs_core::frame::pyramid::bytes_needed`, and too little is an error.
+const PYRAMID_BYTES: usize = 64 << 10;
+
+/// Follows points through two images of a texture that moved by a known amount.
+fn points_through_images() -> Result<(), &'static str> {
+    const MOTION_PX: [f32; 2] = [5.3, -3.7];
+    let (mut source_storage, mut target_storage) = ([0; PYRAMID_BYTES], [0; PYRAMID_BYTES]);
+    let source = pyramid_of_texture([0.0, 0.0], &mut source_storage)?;
+    let target = pyramid_of_texture(MOTION_PX, &mut target_storage)?;
+    let mut flows = [Flow::new([0.0; 2], [0.0; 2]); 20];
+    for (i, flow) in flows.iter_mut().enumerate() {
+        let point_px = [30.0 + 20.0 * (i % 5) as f32, 30.0 + 20.0 * (i / 5) as f32];
+        *flow = Flow::new(point_px, point_px);
+    }
+    let settings = LkSettings { n_levels: N_LEVELS as u32, ..LkSettings::STANDARD };
+    track_there_and_back(SimdLevel::Scalar, &source, &target, &settings, &mut flows);
+    let is_right = |flow: &Flow| {
+        let error_px = |axis: usize| (flow.target_px[axis] - flow.source_px[axis] - MOTION_PX[axis]).abs();
+        flow.verdict.is_found() && error_px(0) < 0.1 && error_px(1) < 0.1
+    };
+    if flows.iter().all(is_right) { Ok(()) } else { Err("a point was lost or went astray") }
+}
+
+/// Parabolic bumps of several sizes, moved by `motion_px`.
+fn pyramid_of_texture<'m>(motion_px: [f32; 2], storage: &'m mut [u8]) -> Result<Pyramid<'m>, &'static str> {
+    let mut pixels = [0_u8; WIDTH * HEIGHT];
+    for (i, pixel) in pixels.iter_mut().enumerate() {
+        let (x, y) = ((i % WIDTH) as f32 + 0.5 - motion_px[0], (i / WIDTH) as f32 + 0.5 - motion_px[1]);
+        let texture = wave(x / 37.0 + y / 61.0) + wave(x / 23.0 - y / 31.0) + wave(y / 19.0 + x / 97.0);
+        *pixel = (128.0 + 40.0 * texture) as u8;
+    }
+    let mut pyramid =
+        Pyramid::new(storage, WIDTH, HEIGHT, N_LEVELS).map_err(|_| "the storage of a pyramid is too small")?;
+    let view = ImageView::new(&pixels, WIDTH, HEIGHT, WIDTH).map_err(|_| "the image does not cover its pixels")?;
+    pyramid.build(view).map_err(|_| "the image has another size than the pyramid")?;
+    Ok(pyramid)
+}
+
+/// Period 1, range [-1, 1], smooth: two parabolas.
+fn wave(x: f32) -> f32 {
+    // Far above any argument's size, so that the cast rounds down.
+    let phase = x - ((x + 1000.0) as i32 - 1000) as f32;
+    if phase < 0.5 { 16.0 * phase * (0.5 - phase) } else { -16.0 * (phase - 0.5) * (1.0 - phase) }
 }

@@ -8,12 +8,15 @@ use std::io;
 
 /// Canvas width in drawing units; the page scales it down, which hides that plotters draws on whole units.
 const WIDTH: u32 = 1600;
-const FULL_HEIGHT: u32 = 620;
+/// Canvas of a chart that shares its row with another one.
+const HALF_WIDTH: u32 = 800;
+const HALF_HEIGHT: u32 = 420;
 const MARGIN: u32 = 24;
 const X_LABELS: u32 = 64;
 const Y_LABELS: u32 = 110;
 const FONT: (&str, u32) = ("sans-serif", 26);
 const LINE: u32 = 4;
+const DOT: u32 = 12;
 const THIN_LINE: u32 = 2;
 
 /// Marks of the axes' parts and of the series, the same as in `style.css`.
@@ -78,13 +81,13 @@ pub(super) fn trajectory(final_path: &[[f64; 2]], live_path: &[[f64; 2]]) -> io:
         chart.draw_series(LineSeries::new(live_path.iter().map(turn), LIVE.stroke_width(THIN_LINE)))?;
         chart.draw_series(LineSeries::new(final_path.iter().map(turn), PATH.stroke_width(LINE)))?;
         let dot = |point: Option<&[f64; 2]>, color: RGBColor| {
-            point.map(turn).map(|place| Circle::new(place, 3 * LINE, color.filled()))
+            point.map(turn).map(|place| Circle::new(place, DOT, color.filled()))
         };
         chart.draw_series(dot(final_path.first(), START))?;
         chart.draw_series(dot(final_path.last(), END))?;
         Ok(canvas.present()?)
     };
-    svg(height, draw)
+    svg((WIDTH, height), draw)
 }
 
 /// Mean time per frame, the stages on top of each other.
@@ -104,7 +107,7 @@ pub(super) fn time_per_stage(buckets: &[DriveBucket]) -> io::Result<String> {
         }
         Ok(canvas.present()?)
     };
-    svg(FULL_HEIGHT, draw)
+    svg((HALF_WIDTH, HALF_HEIGHT), draw)
 }
 
 /// Resident memory over the frames, with the cap.
@@ -129,7 +132,7 @@ pub(super) fn memory(buckets: &[DriveBucket], cap_bytes: u64) -> io::Result<Stri
         }
         Ok(canvas.present()?)
     };
-    svg(FULL_HEIGHT, draw)
+    svg((HALF_WIDTH, HALF_HEIGHT), draw)
 }
 
 type FrameChart<'a, 'b> = ChartContext<
@@ -240,9 +243,9 @@ fn label_m(value: f64) -> String {
     format!("{}", (value * 1000.0).round() / 1000.0 + 0.0)
 }
 
-fn svg(height: u32, draw: impl FnOnce(Canvas<'_>) -> Drawn) -> io::Result<String> {
+fn svg(size: (u32, u32), draw: impl FnOnce(Canvas<'_>) -> Drawn) -> io::Result<String> {
     let mut text = String::new();
-    let canvas = SVGBackend::with_string(&mut text, (WIDTH, height)).into_drawing_area();
+    let canvas = SVGBackend::with_string(&mut text, size).into_drawing_area();
     draw(canvas).map_err(|error| io::Error::other(format!("drawing a chart: {error}")))?;
     Ok(text)
 }

@@ -91,7 +91,7 @@ fn write_plan(page: &mut impl Write, plan: &[MemoryRow]) -> io::Result<()> {
         return Ok(());
     }
     let largest = plan.iter().map(|row| row.bytes).max().unwrap_or(0).max(1);
-    let percent = |part: u64| 100.0 * part as f64 / largest as f64;
+    let of_largest = |part: u64| part as f64 / largest as f64;
     writeln!(
         page,
         "<section><h2>Memory plan</h2><table class=\"plan\"><thead><tr><th>row</th><th>where</th><th>when full</th>\
@@ -101,14 +101,14 @@ fn write_plan(page: &mut impl Write, plan: &[MemoryRow]) -> io::Result<()> {
         writeln!(
             page,
             "<tr><th>{}</th><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td>\
-             <td class=\"bar\"><i style=\"width:{:.2}%\"></i><b style=\"width:{:.2}%\"></b></td></tr>",
+             <td class=\"bar\"><i style=\"--part:{:.4}\"></i><b style=\"--part:{:.4}\"></b></td></tr>",
             Escaped(&row.row),
             Escaped(&row.location),
             Escaped(&row.when_full),
             HumanBytes(row.bytes),
             if row.used_peak == 0 { "–".to_owned() } else { HumanBytes(row.used_peak).to_string() },
-            percent(row.bytes),
-            percent(row.used_peak.min(row.bytes)),
+            of_largest(row.bytes),
+            of_largest(row.used_peak.min(row.bytes)),
         )?;
     }
     writeln!(page, "</tbody></table></section>")

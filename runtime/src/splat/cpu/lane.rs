@@ -163,7 +163,7 @@ impl<S: Simd> Wide<S> {
 
     /// `2^self` without the guards at the ends: `self` must be in -126..=127.
     #[inline(always)]
-    fn exp2_in_range(self) -> Self {
+    pub fn exp2_in_range(self) -> Self {
         let Self { simd, v } = self;
         // Adding 1.5 * 2^23 leaves round(v) in the low bits of the sum.
         let magic = simd.splat_f32s(12_582_912.0);

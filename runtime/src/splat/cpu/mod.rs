@@ -1,9 +1,39 @@
 //! Splatting on the processor: explicit SIMD, a fixed memory, results that do not depend on the thread count.
+//!
+//! The stages of a view, in order: `cull` lists the Gaussians that may be seen; `splatting` decodes and projects
+//! them ([`decode`], [`project`]); `sort` orders them by depth; `bin` lists them per row of tiles and per tile;
+//! `blend` draws; `sky` puts the background behind. Training goes on with `loss` and `ssim`, and back through
+//! `blend_backward`, `reduce` and `update` (projection, decoding and the optimizer's step in one pass).
+//!
+//! Numbers are byte-identical for the same input and SIMD level: every list is cut into pieces that do not depend on
+//! the number of threads, and every sum is taken in the order of the pieces.
 
-mod simd;
-
+mod adam;
+mod anchors;
+mod backend;
+mod bin;
+mod blend;
+mod blend_backward;
+mod cull;
 pub mod decode;
+mod draw;
+mod exposures;
+mod grid;
 pub mod lane;
+mod loss;
+mod packet;
 pub mod project;
+mod reduce;
+mod simd;
+mod sky;
+mod sort;
+mod splats;
+mod splatting;
+mod ssim;
+mod update;
 
-pub use simd::{Dispatch, SimdLevel};
+#[cfg(test)]
+mod tests;
+
+pub use backend::{CpuBackend, OpenError};
+pub use simd::SimdLevel;

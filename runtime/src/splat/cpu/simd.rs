@@ -64,7 +64,7 @@ impl fmt::Display for SimdLevel {
 
 /// Runs kernels on one level.
 #[derive(Clone, Copy, Debug)]
-pub struct Dispatch {
+pub(super) struct Dispatch {
     arch: Arch,
     /// The level.
     pub level: SimdLevel,

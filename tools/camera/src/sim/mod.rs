@@ -3,18 +3,21 @@
 //! Given the same settings it delivers the same bytes on every machine of one architecture. Nothing is
 //! loaded: houses, markings, cars and trees are solids with band-limited procedural texture.
 
+mod candidates;
 mod noise;
 mod path;
 mod render;
+mod road_map;
 mod shapes;
 mod town;
 mod truth;
 
 pub use path::{Drive, Waypoint};
 pub use render::VIEW_DISTANCE_M;
-pub use truth::{TruthWriter, write_dataset};
+pub use truth::{TruthRecorder, TruthWriter, write_dataset};
 
 use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
+use candidates::{Candidates, Frame};
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::math::Rng;
 use render::{Scene, moving_cars};
@@ -107,6 +110,7 @@ pub struct Simulator {
     args: SimArgs,
     next_frame: usize,
     moving: Vec<Solid>,
+    candidates: Candidates,
     rgb: Vec<u8>,
     depth_m: Vec<f32>,
     identity: Vec<u32>,
@@ -141,6 +145,7 @@ impl Simulator {
             args: args.clone(),
             next_frame: 0,
             moving: Vec::new(),
+            candidates: Candidates::default(),
             rgb: vec![0; 3 * n_pixels],
             depth_m: vec![0.0; n_pixels],
             identity: vec![0; n_pixels],
@@ -171,13 +176,9 @@ impl Simulator {
         let arc_m = self.drive.arc_m(frame);
         let time_s = frame as f64 / self.args.fps;
         moving_cars(&self.drive, arc_m, time_s, self.args.seed as u32, &mut self.moving);
-        let scene = Scene {
-            town: &self.town,
-            moving: &self.moving,
-            camera: self.camera,
-            camera_height_m: CAMERA_HEIGHT_M,
-            at: self.drive.at(arc_m),
-        };
+        let frame_camera = Frame::new(self.camera, CAMERA_HEIGHT_M, self.drive.at(arc_m), VIEW_DISTANCE_M);
+        self.candidates.collect(self.town.solids().iter().chain(&self.moving), &frame_camera);
+        let scene = Scene { town: &self.town, frame: frame_camera, candidates: &self.candidates };
         scene.render(&mut self.rgb, &mut self.depth_m, &mut self.identity);
         add_noise(&mut self.rgb, self.args.noise, &mut Rng::new(self.args.seed, frame as u64, u64::from(b'n')));
     }

@@ -1,10 +1,10 @@
 //! Casts one ray per pixel, and a few more where two surfaces meet.
 
+use super::candidates::{Candidates, Frame};
 use super::noise::{detail, hash_unit, stripe};
-use super::path::{Drive, Waypoint};
-use super::shapes::{Hit, Ray};
-use super::town::{self, CENTER_LINE_M, LANE_LEFT_M, LANE_RIGHT_M, MAX_HEIGHT_M, Material, PARKING_M, Solid, Town};
-use kilogs_core::camera::Pinhole;
+use super::path::Drive;
+use super::shapes::Hit;
+use super::town::{self, CENTER_LINE_M, LANE_LEFT_M, LANE_RIGHT_M, Material, PARKING_M, Solid, Town};
 
 /// Beyond this the town fades into haze, m.
 pub const VIEW_DISTANCE_M: f64 = 180.0;
@@ -21,18 +21,14 @@ const EDGE_SAMPLES: [(f32, f32); 4] = [(0.125, 0.375), (0.375, 0.875), (0.625, 0
 /// Depth step between neighbours, relative, that makes an edge.
 const EDGE_DEPTH_RATIO: f32 = 0.04;
 
-/// Everything that a view needs: the standing town, what moves in this frame, and the camera.
+/// Everything that a view needs.
 pub struct Scene<'a> {
-    /// The standing town.
+    /// The road.
     pub town: &'a Town,
-    /// Cars that move, where they are now.
-    pub moving: &'a [Solid],
-    /// Camera model.
-    pub camera: Pinhole,
-    /// Height of the camera over the ground, m.
-    pub camera_height_m: f64,
-    /// Where the camera is and looks.
-    pub at: Waypoint,
+    /// Where the camera is.
+    pub frame: Frame,
+    /// The solids that it can see.
+    pub candidates: &'a Candidates,
 }
 
 /// One sample of the world: linear RGB in [0, 1], depth and an identity for edge finding.
@@ -46,7 +42,7 @@ struct Sample {
 impl Scene<'_> {
     /// Renders packed RGB rows and the depth of every pixel's centre (infinite in the sky).
     pub fn render(&self, rgb: &mut [u8], depth_m: &mut [f32], identity: &mut [u32]) {
-        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let (width, height) = (self.frame.camera.width as usize, self.frame.camera.height as usize);
         for y in 0..height {
             for x in 0..width {
                 let sample = self.sample(x as f32 + 0.5, y as f32 + 0.5);
@@ -71,23 +67,12 @@ impl Scene<'_> {
         }
     }
 
-    fn ray(&self, u_px: f32, v_px: f32) -> Ray {
-        let right = (u_px - self.camera.cx as f32) / self.camera.fx as f32;
-        let down = (v_px - self.camera.cy as f32) / self.camera.fy as f32;
-        let (fx, fz) = self.at.forward();
-        let (fx, fz) = (fx as f32, fz as f32);
-        Ray {
-            origin: [self.at.x as f32, -self.camera_height_m as f32, self.at.z as f32],
-            direction: [fx + fz * right, down, fz - fx * right],
-        }
-    }
-
     fn sample(&self, u_px: f32, v_px: f32) -> Sample {
-        let ray = self.ray(u_px, v_px);
+        let ray = self.frame.ray(u_px, v_px);
         let ground_m = if ray.direction[1] > 0.0 { -ray.origin[1] / ray.direction[1] } else { f32::INFINITY };
         let limit_m = ground_m.min(VIEW_DISTANCE_M as f32);
-        let solid = self.nearest_solid(&ray, limit_m);
-        let footprint = |depth_m: f32, slant: f32| depth_m / self.camera.fx as f32 / slant.max(0.05);
+        let solid = self.candidates.first_hit(&ray, (u_px, v_px), limit_m);
+        let footprint = |depth_m: f32, slant: f32| depth_m / self.frame.camera.fx as f32 / slant.max(0.05);
         let (color, depth_m, identity) = match solid {
             Some((hit, solid)) => {
                 let slant = cosine(&ray.direction, &hit.normal).abs();
@@ -103,49 +88,6 @@ impl Scene<'_> {
         };
         let haze = if depth_m.is_finite() { (depth_m / VIEW_DISTANCE_M as f32).powi(2).min(1.0) } else { 0.0 };
         Sample { color: [0, 1, 2].map(|c| color[c] + haze * (HORIZON[c] - color[c])), depth_m, identity }
-    }
-
-    /// Walks the town's grid along the ray (Amanatides & Woo 1987) until a solid is nearer than the next cell.
-    fn nearest_solid(&self, ray: &Ray, limit_m: f32) -> Option<(Hit, &Solid)> {
-        let mut nearest: Option<(Hit, &Solid)> = None;
-        for solid in self.moving {
-            let limit = nearest.map_or(limit_m, |(hit, _)| hit.depth_m);
-            if let Some(hit) = solid.intersect(ray, limit) {
-                nearest = Some((hit, solid));
-            }
-        }
-        // Above every roof there is nothing to find.
-        let clear_m = if ray.direction[1] < 0.0 { (MAX_HEIGHT_M + ray.origin[1]) / -ray.direction[1] } else { limit_m };
-        let last_m = limit_m.min(clear_m);
-        let (mut cell, size) = (Town::cell_of(ray.origin[0], ray.origin[2]), Town::cell_m());
-        let axis = |origin: f32, direction: f32, index: i32| {
-            let step = if direction >= 0.0 { 1 } else { -1 };
-            let edge = (index + i32::from(direction >= 0.0)) as f32 * size;
-            (step, (edge - origin) / direction, size / direction.abs())
-        };
-        let (step_x, mut next_x, delta_x) = axis(ray.origin[0], ray.direction[0], cell.0);
-        let (step_z, mut next_z, delta_z) = axis(ray.origin[2], ray.direction[2], cell.1);
-        loop {
-            for &index in self.town.solids_in_cell(cell) {
-                let limit = nearest.map_or(last_m, |(hit, _)| hit.depth_m);
-                let solid = self.town.solid(index);
-                if let Some(hit) = solid.intersect(ray, limit) {
-                    nearest = Some((hit, solid));
-                }
-            }
-            let leave_m = next_x.min(next_z);
-            // A ray along a cell's border has no next border (NaN): it stays where it is.
-            if leave_m.is_nan() || leave_m >= nearest.map_or(last_m, |(hit, _)| hit.depth_m) {
-                return nearest;
-            }
-            if next_x < next_z {
-                cell.0 += step_x;
-                next_x += delta_x;
-            } else {
-                cell.1 += step_z;
-                next_z += delta_z;
-            }
-        }
     }
 
     /// Asphalt with markings, pavement, grass.

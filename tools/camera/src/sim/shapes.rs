@@ -89,11 +89,6 @@ impl UprightBox {
         };
         Some(Hit { depth_m: enter, surface_m, normal, is_top })
     }
-
-    /// Radius of the circle about the footprint, m.
-    pub fn footprint_radius_m(&self) -> f32 {
-        self.half[0].hypot(self.half[1])
-    }
 }
 
 impl Ball {

@@ -1,9 +1,9 @@
-//! Houses, parked cars and trees along the way, and the grid that finds them again.
+//! Houses, parked cars and trees along the way.
 
 use super::noise::{hash, hash_unit};
 use super::path::{Drive, SPACING_M, Waypoint};
+use super::road_map::RoadMap;
 use super::shapes::{Ball, Hit, Ray, UprightBox};
-use std::collections::HashMap;
 
 /// What a solid is made of; decides its texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,14 +48,6 @@ impl Solid {
             Shape::Ball(solid) => solid.intersect(ray, limit_m),
         }
     }
-
-    /// Centre of the footprint and its radius, m.
-    fn footprint(&self) -> ([f32; 2], f32) {
-        match &self.shape {
-            Shape::Box(solid) => (solid.center, solid.footprint_radius_m()),
-            Shape::Ball(solid) => ([solid.center[0], solid.center[2]], solid.radius),
-        }
-    }
 }
 
 /// Right edge of our lane, seen from the path, m; lanes are 3.5 m, the camera drives in the middle of the right one.
@@ -66,21 +58,16 @@ pub const CENTER_LINE_M: f32 = -1.75;
 pub const LANE_LEFT_M: f32 = -5.25;
 /// Parking strips reach this far beyond either lane, m.
 pub const PARKING_M: f32 = 2.3;
-/// Side of a grid cell, m.
-const CELL_M: f32 = 8.0;
-/// How far the road can be from the way's nearest point and still be looked up, m.
-const ROAD_REACH_M: f32 = 16.0;
 /// No solid stands nearer to any point of the way than this, m: half a car and a mirror's clearance.
 const CLEARANCE_M: f32 = 1.6;
 /// Highest house, m, over the ground.
-pub const MAX_HEIGHT_M: f32 = 16.0;
+const MAX_HEIGHT_M: f32 = 16.0;
 
 /// The town: every solid that stands still, and the road.
 #[derive(Debug)]
 pub struct Town {
     solids: Vec<Solid>,
-    cells: HashMap<(i32, i32), Vec<u32>>,
-    nearest_waypoint: HashMap<(i32, i32), u32>,
+    road: RoadMap,
     waypoints: Vec<Waypoint>,
 }
 
@@ -96,48 +83,26 @@ pub struct RoadPosition {
 impl Town {
     /// Builds the town along a drive.
     pub fn build(drive: &Drive, seed: u64) -> Self {
-        let mut town = Self {
-            solids: Vec::new(),
-            cells: HashMap::new(),
-            nearest_waypoint: HashMap::new(),
-            waypoints: drive.waypoints().to_vec(),
-        };
-        town.map_road();
+        let waypoints = drive.waypoints().to_vec();
+        let mut town = Self { solids: Vec::new(), road: RoadMap::build(&waypoints), waypoints };
         let seed = hash(seed as i32, (seed >> 32) as i32, 1);
         for side in [-1.0, 1.0_f32] {
             town.line_with_houses(side, seed);
             town.line_with_cars(side, seed);
             town.line_with_trees(side, seed);
         }
-        town.index_solids();
         town
     }
 
-    /// Indices of the solids that may stand in the cell of a ground point.
-    pub fn solids_in_cell(&self, cell: (i32, i32)) -> &[u32] {
-        self.cells.get(&cell).map_or(&[], Vec::as_slice)
-    }
-
-    /// A solid by its index.
-    pub fn solid(&self, index: u32) -> &Solid {
-        &self.solids[index as usize]
-    }
-
-    /// Cell of a ground point.
-    pub fn cell_of(x: f32, z: f32) -> (i32, i32) {
-        ((x / CELL_M).floor() as i32, (z / CELL_M).floor() as i32)
-    }
-
-    /// Side of a cell, m.
-    pub fn cell_m() -> f32 {
-        CELL_M
+    /// Every solid that stands still.
+    pub fn solids(&self) -> &[Solid] {
+        &self.solids
     }
 
     /// Position of a ground point on the road; `None` away from it.
     pub fn road_position(&self, x: f32, z: f32) -> Option<RoadPosition> {
-        let key = road_cell(x, z);
-        let mut index = *self.nearest_waypoint.get(&key)? as usize;
-        // The cell knows a waypoint near by; two steps along the way reach the nearest one.
+        let mut index = self.road.waypoint_near(x, z)?;
+        // The cell knows a waypoint near by; a few steps along the way reach the nearest one.
         for _ in 0..3 {
             let (along, _) = self.relative(index, x, z);
             let step = (along / SPACING_M as f32).round() as i64;
@@ -159,30 +124,9 @@ impl Town {
         ((dx * fx + dz * fz) as f32, (dx * fz - dz * fx) as f32)
     }
 
-    /// Fills the cells around the way with their nearest waypoint.
-    fn map_road(&mut self) {
-        let reach = (ROAD_REACH_M / ROAD_CELL_M).ceil() as i32;
-        let mut best: HashMap<(i32, i32), f64> = HashMap::new();
-        for (index, at) in self.waypoints.iter().enumerate() {
-            let (cx, cz) = road_cell(at.x as f32, at.z as f32);
-            for (ix, iz) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dz| (cx + dx, cz + dz))) {
-                let middle = |i: i32| (f64::from(i) + 0.5) * f64::from(ROAD_CELL_M);
-                let distance_m = (middle(ix) - at.x).hypot(middle(iz) - at.z);
-                let known = best.entry((ix, iz)).or_insert(f64::INFINITY);
-                if distance_m < *known && distance_m < f64::from(ROAD_REACH_M) {
-                    *known = distance_m;
-                    self.nearest_waypoint.insert((ix, iz), index as u32);
-                }
-            }
-        }
-    }
-
-    /// Distance from a ground point to the way, m; at least [`ROAD_REACH_M`] where no road is near.
+    /// Distance from a ground point to the way, m; the map's reach where no road is near.
     fn distance_to_way(&self, x: f32, z: f32) -> f32 {
-        match self.road_position(x, z) {
-            Some(position) => position.lateral_m.abs(),
-            None => ROAD_REACH_M,
-        }
+        self.road_position(x, z).map_or(super::road_map::REACH_M, |position| position.lateral_m.abs())
     }
 
     /// Adds a box if it leaves the way clear everywhere around its footprint.
@@ -256,23 +200,6 @@ impl Town {
     fn waypoint(&self, along_m: f32) -> Waypoint {
         self.waypoints[((f64::from(along_m) / SPACING_M) as usize).min(self.waypoints.len() - 1)]
     }
-
-    fn index_solids(&mut self) {
-        for (index, solid) in self.solids.iter().enumerate() {
-            let ([x, z], radius) = solid.footprint();
-            let (low, high) = (Self::cell_of(x - radius, z - radius), Self::cell_of(x + radius, z + radius));
-            for cell in (low.0..=high.0).flat_map(|ix| (low.1..=high.1).map(move |iz| (ix, iz))) {
-                self.cells.entry(cell).or_default().push(index as u32);
-            }
-        }
-    }
-}
-
-/// Side of a cell of the road look-up, m.
-const ROAD_CELL_M: f32 = 4.0;
-
-fn road_cell(x: f32, z: f32) -> (i32, i32) {
-    ((x / ROAD_CELL_M).floor() as i32, (z / ROAD_CELL_M).floor() as i32)
 }
 
 /// Outer edge of the parking strip on a side of the road, m to the right of the way.

@@ -1,7 +1,7 @@
 //! The simulator's truth on disk, in the layout of KITTI odometry.
 
 use super::{SimArgs, SimError, Simulator};
-use crate::source::{FrameSource, PixelFormat};
+use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
 use std::fs::{File, create_dir_all};
 use std::io::{BufWriter, Write};
@@ -83,6 +83,48 @@ impl TruthWriter {
     pub fn finish(mut self) -> Result<(), SimError> {
         self.poses.flush().map_err(|e| problem(&self.folder.join("poses.txt"), &e))?;
         self.times.flush().map_err(|e| problem(&self.folder.join("times.txt"), &e))
+    }
+}
+
+/// A simulator that writes its truth as it delivers frames.
+pub struct TruthRecorder {
+    simulator: Simulator,
+    writer: TruthWriter,
+    n_written: usize,
+}
+
+impl TruthRecorder {
+    /// Creates the folder of the truth.
+    ///
+    /// # Errors
+    /// [`SimError::Truth`] when it cannot be written.
+    pub fn create(folder: &Path, simulator: Simulator) -> Result<Self, SimError> {
+        let writer = TruthWriter::create(folder, &simulator)?;
+        Ok(Self { simulator, writer, n_written: 0 })
+    }
+
+    /// Flushes what is buffered.
+    ///
+    /// # Errors
+    /// [`SimError::Truth`], for example on a full disk.
+    pub fn finish(self) -> Result<(), SimError> {
+        self.writer.finish()
+    }
+}
+
+impl FrameSource for TruthRecorder {
+    fn format(&self) -> SourceFormat {
+        self.simulator.format()
+    }
+
+    fn next_frame(&mut self, pixels: &mut [u8]) -> Result<Option<FrameInfo>, SourceError> {
+        let delivered = self.simulator.next_frame(pixels)?;
+        if delivered.is_some() {
+            let written = self.writer.write(&self.simulator, self.n_written);
+            written.map_err(|e| SourceError::file(&self.writer.folder, e.to_string()))?;
+            self.n_written += 1;
+        }
+        Ok(delivered)
     }
 }
 

@@ -1,0 +1,292 @@
+//! The backend that needs nothing but a processor.
+
+use super::anchors::{Anchors, slot_bytes};
+use super::cull::KeyframeNumbers;
+use super::decode::{N_PARAMS, group};
+use super::draw::{Drawn, Machine, ViewBuffers};
+use super::exposures::{EXPOSURE_BYTES, Exposures};
+use super::loss::{LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
+use super::simd::{Dispatch, SimdLevel};
+use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
+use super::splats::{Lists, PAIR_BYTES, ROW_ENTRY_BYTES, VISIBLE_BYTES};
+use super::splatting::CameraView;
+use super::update::{UpdateRule, update};
+use crate::pool::Pool;
+use crate::splat::{
+    AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates, MemoryRow,
+    RenderStats, RenderTarget, SplatBackend, StepReport, StepSettings, TrainingView, View,
+};
+
+/// Splatting on the processor.
+pub struct CpuBackend {
+    capacities: Capacities,
+    pool: Pool,
+    dispatch: Dispatch,
+    anchors: Anchors,
+    placements: Vec<KeyframePlacement>,
+    sky: Sky,
+    exposures: Exposures,
+    view: ViewBuffers,
+    loss: LossBuffers,
+}
+
+/// Why a backend cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// A capacity is impossible.
+    #[error(transparent)]
+    Capacity(#[from] CapacityError),
+    /// The machine lacks the instruction set.
+    #[error("this machine has no {level}: use --simd auto, which takes {best} here")]
+    Simd {
+        /// What was asked for.
+        level: SimdLevel,
+        /// The best one present.
+        best: SimdLevel,
+    },
+    /// The operating system refused a thread.
+    #[error("starting {threads} splat threads: {source}: use fewer with --threads")]
+    Threads {
+        /// What was asked for.
+        threads: usize,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl CpuBackend {
+    /// Allocates everything and starts `threads - 1` workers; `on_thread_start` runs first on each of them.
+    ///
+    /// # Errors
+    /// [`OpenError`]: an impossible capacity, a missing instruction set, a refused thread.
+    pub fn new(
+        capacities: Capacities,
+        threads: usize,
+        level: SimdLevel,
+        on_thread_start: impl Fn(usize) + Send + Sync + 'static,
+    ) -> Result<Self, OpenError> {
+        let capacities = capacities.checked()?;
+        let dispatch = Dispatch::new(level).ok_or_else(|| OpenError::Simd { level, best: SimdLevel::best() })?;
+        let pool = Pool::new(threads, on_thread_start).map_err(|source| OpenError::Threads { threads, source })?;
+        let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
+        Ok(Self {
+            capacities,
+            pool,
+            dispatch,
+            anchors: Anchors::new(&capacities),
+            placements: vec![KeyframePlacement::identity(); capacities.keyframe_rows],
+            sky: Sky::new(capacities.chunk_rows),
+            exposures: Exposures::new(capacities.exposure_slots),
+            view: ViewBuffers {
+                lists: Lists::new(&capacities),
+                keyframes: vec![[0.0; 12]; capacities.keyframe_rows],
+                planes: vec![0.0; N_DRAWN * n_pixels],
+            },
+            loss: LossBuffers::new(&capacities),
+        })
+    }
+
+    /// The instruction set in use.
+    pub fn simd_level(&self) -> SimdLevel {
+        self.dispatch.level
+    }
+
+    /// Threads in use, the caller's included.
+    pub fn threads(&self) -> usize {
+        self.pool.threads()
+    }
+
+    /// What a backend of these capacities allocates, row by row.
+    pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; 9] {
+        let row = |name, elements, bytes_per_element| MemoryRow { name, elements, bytes_per_element };
+        let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
+        let placement_bytes = size_of::<KeyframePlacement>() + size_of::<KeyframeNumbers>();
+        let slot = slot_bytes(capacities.gaussians_per_anchor) + size_of::<u32>();
+        [
+            row("splat.anchors", capacities.anchors, slot),
+            row("splat.visible_gaussians", capacities.visible_gaussians, VISIBLE_BYTES),
+            row("splat.row_entries", capacities.row_entries, ROW_ENTRY_BYTES),
+            row("splat.pairs", capacities.pairs, PAIR_BYTES),
+            row("splat.image_pixels", n_pixels, N_DRAWN * size_of::<f32>()),
+            row("splat.training_pixels", capacities.training_pixels, TRAINING_PIXEL_BYTES),
+            row("splat.keyframe_rows", capacities.keyframe_rows, placement_bytes),
+            row("splat.chunk_rows", capacities.chunk_rows, SKY_ROW_BYTES + SKY_GRADIENT_BYTES),
+            row("splat.exposure_slots", capacities.exposure_slots, EXPOSURE_BYTES),
+        ]
+    }
+
+    fn fits(&self, view: &View) -> bool {
+        let camera = &view.camera;
+        let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
+        (1..=self.capacities.image_width_px).contains(&camera.width)
+            && (1..=self.capacities.image_height_px).contains(&camera.height)
+            && usize::from(view.chunk_row) < self.capacities.chunk_rows
+            && numbers.iter().all(|v| v.is_finite())
+            && camera.fx > 0.0
+            && camera.fy > 0.0
+            && view.camera_from_map.translation.vector.iter().all(|v| v.is_finite())
+            && view.camera_from_map.rotation.coords.iter().all(|v| v.is_finite())
+    }
+
+    fn fits_training(&self, training: &TrainingView<'_>) -> bool {
+        let n_pixels = training.view.n_pixels();
+        self.fits(&training.view)
+            && n_pixels <= self.capacities.training_pixels
+            && training.target.n_pixels() == n_pixels
+            && training.depth.is_none_or(|d| d.depth_m.len() == n_pixels && d.confidence.len() == n_pixels)
+            && training.exposure_slot.is_none_or(|slot| (slot as usize) < self.capacities.exposure_slots)
+    }
+
+    fn draw(&mut self, view: &View) -> Drawn {
+        let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
+        let texels = self.sky.row(view.chunk_row).unwrap_or_default();
+        self.view.draw(machine, &self.anchors, &self.placements, texels, view)
+    }
+
+    /// Backward pass and step; returns the sum of the visible Gaussians' anisotropies.
+    fn learn(&mut self, drawn: &Drawn, rule: &UpdateRule, collected: Option<&mut [[f32; N_PARAMS]]>) -> f64 {
+        let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
+        let n_pixels = drawn.grid.n_pixels();
+        let upstream = self.loss.gradients(n_pixels);
+        self.view.draw_backward(machine, drawn, upstream);
+        let transmittance = self.view.drawn(n_pixels)[4];
+        let grad_rgb = [upstream[0], upstream[1], upstream[2]];
+        self.sky.gradients(&self.pool, self.dispatch, &drawn.rays, &drawn.grid, transmittance, grad_rgb);
+        let view = CameraView { keyframes: &self.view.keyframes, camera: drawn.camera, grid: drawn.grid };
+        let target = (&mut self.anchors, collected);
+        update(machine, view, drawn.n_candidates, rule, target, &self.view.lists)
+    }
+
+    /// Gradients of `sum(rgb * upstream_rgb) + sum(depth * upstream_depth) + sum(transmittance *
+    /// upstream_transmittance)` with respect to every Gaussian's trained numbers (`slot * k + i`; 0 where nothing is
+    /// visible) and to the background's texels. For tests and for the conformance of other backends; trains nothing.
+    ///
+    /// The planes are red, green, blue, depth, transmittance. `None` when a length or the view does not fit.
+    pub fn gradients(
+        &mut self,
+        view: &View,
+        upstream: [&[f32]; 5],
+        params: &mut [[f32; N_PARAMS]],
+    ) -> Option<&[[f32; 3]]> {
+        let n_pixels = view.n_pixels();
+        let fits = self.fits(view) && n_pixels <= self.capacities.training_pixels;
+        if !fits || upstream.iter().any(|p| p.len() != n_pixels) || params.len() != self.anchors.params.len() {
+            return None;
+        }
+        let drawn = self.draw(view);
+        self.loss.set_gradients(upstream);
+        params.fill([0.0; N_PARAMS]);
+        let rule = UpdateRule { rates: [0.0; N_PARAMS], isotropy_weight: 0.0 };
+        self.learn(&drawn, &rule, Some(params));
+        Some(self.sky.last_gradients())
+    }
+}
+
+fn rates_per_number(rates: &LearningRates, progress: f32) -> [f32; N_PARAMS] {
+    let mut out = [0.0; N_PARAMS];
+    out[group::OFFSET..group::LOG_SCALE].fill(rates.offset.at(progress));
+    out[group::LOG_SCALE..group::ROTATION].fill(rates.log_scale.at(progress));
+    out[group::ROTATION..group::OPACITY].fill(rates.rotation.at(progress));
+    out[group::OPACITY] = rates.opacity.at(progress);
+    out[group::COLOR..].fill(rates.color.at(progress));
+    out
+}
+
+impl SplatBackend for CpuBackend {
+    fn capacities(&self) -> &Capacities {
+        &self.capacities
+    }
+
+    fn write_anchors(&mut self, slots: &[u32], headers: &[AnchorHeader], params: &[GaussianParams]) -> usize {
+        let (k, rows) = (self.anchors.k, self.capacities.keyframe_rows);
+        let written = slots.iter().zip(headers).zip(params.chunks(k));
+        let written = written.filter(|((slot, header), params)| self.anchors.write(**slot, header, params, rows));
+        slots.len() - written.count()
+    }
+
+    fn read_anchors(&self, slots: &[u32], headers: &mut [AnchorHeader], params: &mut [GaussianParams]) -> usize {
+        let read = slots.iter().zip(headers).zip(params.chunks_mut(self.anchors.k));
+        slots.len()
+            - read.filter_map(|((&slot, header), params)| self.anchors.read(slot, header, params).then_some(())).count()
+    }
+
+    fn retire_anchors(&mut self, slots: &[u32]) -> usize {
+        slots.iter().filter(|&&slot| !self.anchors.retire(slot)).count()
+    }
+
+    fn set_keyframes(&mut self, first_row: u32, placements: &[KeyframePlacement]) -> usize {
+        let rows = self.placements.get_mut(first_row as usize..).unwrap_or_default();
+        let n = rows.len().min(placements.len());
+        rows[..n].copy_from_slice(&placements[..n]);
+        placements.len() - n
+    }
+
+    fn write_background(&mut self, chunk_row: u16, texels: &[[f32; 3]]) -> bool {
+        self.sky.write(chunk_row, texels)
+    }
+
+    fn read_background(&self, chunk_row: u16, texels: &mut [[f32; 3]]) -> bool {
+        match self.sky.row(chunk_row).filter(|row| row.len() == texels.len()) {
+            Some(row) => {
+                texels.copy_from_slice(row);
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn write_exposure(&mut self, slot: u32, exposure: Exposure) -> bool {
+        self.exposures.set(slot, exposure)
+    }
+
+    fn read_exposure(&self, slot: u32) -> Option<Exposure> {
+        self.exposures.get(slot)
+    }
+
+    fn render(&mut self, view: &View, target: RenderTarget<'_>) -> RenderStats {
+        let n_pixels = view.n_pixels();
+        let lengths = [target.rgb.len(), target.depth_m.len(), target.transmittance.len()];
+        if !self.fits(view) || lengths != [n_pixels; 3] {
+            return RenderStats { refused: true, ..RenderStats::default() };
+        }
+        let drawn = self.draw(view);
+        let [red, green, blue, depth_m, transmittance] = self.view.drawn(n_pixels);
+        for (((rgb, &r), &g), &b) in target.rgb.iter_mut().zip(red).zip(green).zip(blue) {
+            *rgb = [r, g, b];
+        }
+        target.depth_m.copy_from_slice(depth_m);
+        target.transmittance.copy_from_slice(transmittance);
+        drawn.stats
+    }
+
+    fn train_step(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
+        if !self.fits_training(training) {
+            let stats = RenderStats { refused: true, ..RenderStats::default() };
+            return StepReport { stats, ..StepReport::default() };
+        }
+        let drawn = self.draw(&training.view);
+        let input = LossInput {
+            width: drawn.grid.width,
+            target: training.target,
+            depth: training.depth,
+            exposure: training.exposure_slot.and_then(|slot| self.exposures.get(slot)),
+            weights: settings.weights,
+        };
+        let planes = self.view.drawn(drawn.grid.n_pixels());
+        let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
+        let (rates, progress) = (&settings.rates, settings.progress);
+        let n_visible = drawn.n_splats.max(1) as f32;
+        let rule = UpdateRule {
+            rates: rates_per_number(rates, progress),
+            isotropy_weight: settings.weights.isotropy / n_visible,
+        };
+        loss.isotropy = self.learn(&drawn, &rule, None) as f32 / n_visible;
+        self.sky.step(training.view.chunk_row, rates.background.at(progress));
+        if let Some(slot) = training.exposure_slot {
+            let rate = rates.exposure.at(progress);
+            loss.exposure = self.exposures.step(slot, &exposure_gradient, settings.weights.exposure, rate);
+        }
+        loss.total += settings.weights.isotropy * loss.isotropy + settings.weights.exposure * loss.exposure;
+        StepReport { loss, stats: drawn.stats }
+    }
+}

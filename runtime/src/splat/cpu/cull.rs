@@ -1,0 +1,163 @@
+//! Which Gaussians may be in view: a test that is cheap and never wrong in the negative.
+
+use super::anchors::Anchors;
+use super::project::{CameraConstants, NEAR_PLANE_M, SCREEN_DILATION_PX2};
+use super::splats::{Lists, MAX_JOBS, piece_len, take_front};
+use crate::pool::Pool;
+use crate::splat::{GaussianParams, KeyframePlacement, View};
+use nalgebra::{Matrix3, Vector3};
+
+/// `camera_from_keyframe` of a keyframe row: scale times rotation row by row, then the translation.
+pub type KeyframeNumbers = [f32; 12];
+
+/// At an opacity of 1 a splat ends where `q = ln 255`, that is at this many standard deviations.
+const MAX_SIGMAS: f32 = 3.33;
+
+/// Camera from every keyframe row, composed in f64 so that the length of the route costs no digits.
+pub fn place_keyframes(view: &View, placements: &[KeyframePlacement], out: &mut [KeyframeNumbers]) {
+    let rotation_cm = view.camera_from_map.rotation.to_rotation_matrix();
+    for (placement, numbers) in placements.iter().zip(out) {
+        let linear: Matrix3<f64> =
+            (rotation_cm * placement.rotation.to_rotation_matrix()).into_inner() * placement.scale;
+        let translation: Vector3<f64> =
+            view.camera_from_map.rotation * placement.translation_m + view.camera_from_map.translation.vector;
+        for row in 0..3 {
+            for column in 0..3 {
+                numbers[row * 3 + column] = linear[(row, column)] as f32;
+            }
+            numbers[9 + row] = translation[row] as f32;
+        }
+    }
+}
+
+/// Lists the candidates in ascending order; returns how many there are and how many did not fit.
+pub fn cull(
+    pool: &Pool,
+    anchors: &Anchors,
+    keyframes: &[KeyframeNumbers],
+    frustum: &Frustum,
+    lists: &mut Lists,
+) -> (usize, usize) {
+    let len = piece_len(anchors.slots_end);
+    let mut jobs = heapless::Vec::<CullJob<'_>, MAX_JOBS>::new();
+    for (i, bits) in lists.visible_bits[..anchors.slots_end].chunks_mut(len).enumerate() {
+        let job = CullJob { first_slot: i * len, bits, n_visible: 0, out: &mut [] };
+        if jobs.push(job).is_err() {
+            unreachable!("piece_len makes at most MAX_JOBS pieces");
+        }
+    }
+    pool.for_each(&mut jobs, |_, job| job.test(anchors, keyframes, frustum));
+    let needed: usize = jobs.iter().map(|job| job.n_visible).sum();
+    let kept = needed.min(lists.candidates.len());
+    let mut rest = &mut lists.candidates[..kept];
+    for job in &mut jobs {
+        job.out = take_front(&mut rest, job.n_visible);
+    }
+    pool.for_each(&mut jobs, |_, job| job.list(anchors.k));
+    (kept, needed - kept)
+}
+
+/// The view's pyramid, widened by what a splat may reach.
+#[derive(Clone, Copy, Debug)]
+pub struct Frustum {
+    focal_px: [f32; 2],
+    center_px: [f32; 2],
+    size_px: [f32; 2],
+    /// Largest length of a row of the projection's Jacobian at z = 1, px.
+    stretch_px: [f32; 2],
+}
+
+impl Frustum {
+    /// Pyramid of a view.
+    pub fn of(view: &View) -> Self {
+        let constants = CameraConstants::of(view);
+        let stretch = |i: usize| {
+            let z1 = constants.max_z1[i].abs().max(constants.min_z1[i].abs());
+            (constants.focal_px[i] * (1.0 + z1 * z1).sqrt()) as f32
+        };
+        Self {
+            focal_px: constants.focal_px.map(|v| v as f32),
+            center_px: constants.center_px.map(|v| v as f32),
+            size_px: [view.camera.width as f32, view.camera.height as f32],
+            stretch_px: [stretch(0), stretch(1)],
+        }
+    }
+
+    /// Whether the splat of a Gaussian with standard deviations of at most `max_sigma_m()` may meet the picture.
+    #[inline(always)]
+    fn may_see(&self, mean_in_camera: [f32; 3], max_sigma_m: impl FnOnce() -> f32) -> bool {
+        let [x, y, z] = mean_in_camera;
+        if z < NEAR_PLANE_M || !(x + y + z).is_finite() {
+            return false;
+        }
+        let beyond = [0, 1].map(|i| {
+            let pixel = self.focal_px[i] * [x, y][i] / z + self.center_px[i];
+            (-pixel).max(pixel - self.size_px[i])
+        });
+        if beyond[0] < 0.0 && beyond[1] < 0.0 {
+            return true;
+        }
+        let sigma_m = max_sigma_m();
+        [0, 1].into_iter().all(|i| {
+            let sigma_px = (self.stretch_px[i] * sigma_m / z).hypot(SCREEN_DILATION_PX2.sqrt() as f32);
+            beyond[i] <= MAX_SIGMAS * sigma_px + 1.0
+        })
+    }
+}
+
+struct CullJob<'a> {
+    first_slot: usize,
+    bits: &'a mut [u32],
+    n_visible: usize,
+    out: &'a mut [u32],
+}
+
+impl CullJob<'_> {
+    fn test(&mut self, anchors: &Anchors, keyframes: &[KeyframeNumbers], frustum: &Frustum) {
+        let mut n_visible = 0;
+        for (i, bits) in self.bits.iter_mut().enumerate() {
+            *bits = slot_bits(anchors, self.first_slot + i, keyframes, frustum);
+            n_visible += bits.count_ones() as usize;
+        }
+        self.n_visible = n_visible;
+    }
+
+    fn list(&mut self, k: usize) {
+        let mut out = self.out.iter_mut();
+        for (i, &slot_bits) in self.bits.iter().enumerate() {
+            let mut bits = slot_bits;
+            while bits != 0 {
+                let Some(candidate) = out.next() else { return };
+                *candidate = ((self.first_slot + i) * k) as u32 + bits.trailing_zeros();
+                bits &= bits - 1;
+            }
+        }
+    }
+}
+
+fn slot_bits(anchors: &Anchors, slot: usize, keyframes: &[KeyframeNumbers], frustum: &Frustum) -> u32 {
+    let header = &anchors.headers[slot];
+    let n_gaussians = usize::from(header.n_gaussians);
+    if n_gaussians == 0 {
+        return 0;
+    }
+    let extent_m = &anchors.extents_m[slot];
+    let m = &keyframes[header.keyframe_row as usize];
+    let largest_extent_m = extent_m[0].max(extent_m[1]).max(extent_m[2]);
+    // Scale of camera_from_keyframe: the length of a row of its linear part.
+    let scale = || (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]).sqrt();
+    let mut bits = 0;
+    for (i, gaussian) in anchors.params[slot * anchors.k..].iter().take(n_gaussians).enumerate() {
+        let mean = [0, 1, 2].map(|a| header.position_in_keyframe_m[a] + gaussian.offset[a] * extent_m[a]);
+        let in_camera =
+            [0, 1, 2].map(|r| m[r * 3] * mean[0] + m[r * 3 + 1] * mean[1] + m[r * 3 + 2] * mean[2] + m[9 + r]);
+        let visible = frustum.may_see(in_camera, || scale() * largest_extent_m * largest_scale(gaussian));
+        bits |= u32::from(visible) << i;
+    }
+    bits
+}
+
+fn largest_scale(gaussian: &GaussianParams) -> f32 {
+    let [x, y, z] = gaussian.log_scale;
+    x.max(y).max(z).exp()
+}

@@ -1,0 +1,116 @@
+//! Sixteen Gaussians turned sideways: one row per number, one column per Gaussian, so that SIMD lanes are Gaussians.
+
+use super::anchors::FixedNumbers;
+use super::cull::KeyframeNumbers;
+use super::decode::{AnchorLanes, N_PARAMS};
+use super::lane::Wide;
+use super::project::CameraFromKeyframe;
+use pulp::Simd;
+use zerocopy::IntoBytes;
+
+/// Gaussians of a packet: the widest vector there is.
+pub const PACKET: usize = 16;
+
+/// One number of each Gaussian of a packet.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub struct Row(pub [f32; PACKET]);
+
+/// Zeros.
+pub const ZERO_ROW: Row = Row([0.0; PACKET]);
+
+impl Row {
+    /// The lanes from `first` on.
+    #[inline(always)]
+    pub fn load<S: Simd>(&self, simd: S, first: usize) -> Wide<S> {
+        Wide::load(simd, &self.0[first..])
+    }
+
+    /// Stores the lanes from `first` on.
+    #[inline(always)]
+    pub fn store<S: Simd>(&mut self, first: usize, value: Wide<S>) {
+        value.store(&mut self.0[first..]);
+    }
+}
+
+/// What decoding and projection read, for [`PACKET`] Gaussians.
+pub struct Packet {
+    /// Trained numbers.
+    pub params: [Row; N_PARAMS],
+    position: [Row; 3],
+    extent: [Row; 3],
+    placement: [Row; 12],
+}
+
+/// The same for one vector of lanes.
+pub struct PacketLanes<S: Simd> {
+    /// Trained numbers.
+    pub params: [Wide<S>; N_PARAMS],
+    /// What the anchor contributes.
+    pub anchor: AnchorLanes<Wide<S>>,
+    /// Camera from the anchor's keyframe.
+    pub placement: CameraFromKeyframe<Wide<S>>,
+}
+
+impl Packet {
+    /// Zeros.
+    pub fn new() -> Self {
+        Self { params: [ZERO_ROW; N_PARAMS], position: [ZERO_ROW; 3], extent: [ZERO_ROW; 3], placement: [ZERO_ROW; 12] }
+    }
+
+    /// Fetches the Gaussians `slot * k + i`, of which `params` begins at `first_id`; columns beyond them keep what they had.
+    #[inline(always)]
+    pub fn gather(
+        &mut self,
+        anchors: &FixedNumbers<'_>,
+        params: &[[f32; N_PARAMS]],
+        keyframes: &[KeyframeNumbers],
+        ids: &[u32],
+        first_id: usize,
+    ) {
+        for (lane, &id) in ids.iter().take(PACKET).enumerate() {
+            let id = id as usize;
+            let slot = id / anchors.k;
+            let header = &anchors.headers[slot];
+            for (row, &value) in self.params.iter_mut().zip(&params[id - first_id]) {
+                row.0[lane] = value;
+            }
+            for (row, &value) in self.placement.iter_mut().zip(&keyframes[header.keyframe_row as usize]) {
+                row.0[lane] = value;
+            }
+            for a in 0..3 {
+                self.position[a].0[lane] = header.position_in_keyframe_m[a];
+                self.extent[a].0[lane] = anchors.extents_m[slot][a];
+            }
+        }
+    }
+
+    /// The lanes from `first` on.
+    #[inline(always)]
+    pub fn lanes<S: Simd>(&self, simd: S, first: usize) -> PacketLanes<S> {
+        let load = |row: &Row| row.load(simd, first);
+        let m = |i: usize| load(&self.placement[i]);
+        PacketLanes {
+            params: core::array::from_fn(|i| load(&self.params[i])),
+            anchor: AnchorLanes {
+                position: core::array::from_fn(|i| load(&self.position[i])),
+                extent: core::array::from_fn(|i| load(&self.extent[i])),
+            },
+            placement: CameraFromKeyframe {
+                linear: [[m(0), m(1), m(2)], [m(3), m(4), m(5)], [m(6), m(7), m(8)]],
+                translation: [m(9), m(10), m(11)],
+            },
+        }
+    }
+}
+
+/// The Gaussians' numbers as arrays.
+pub fn as_arrays(params: &[crate::splat::GaussianParams]) -> &[[f32; N_PARAMS]] {
+    // Both are `N_PARAMS` consecutive f32.
+    zerocopy::FromBytes::ref_from_bytes(params.as_bytes()).unwrap_or(&[])
+}
+
+/// The Gaussians' numbers as arrays.
+pub fn as_arrays_mut(params: &mut [crate::splat::GaussianParams]) -> &mut [[f32; N_PARAMS]] {
+    zerocopy::FromBytes::mut_from_bytes(params.as_mut_bytes()).unwrap_or_default()
+}

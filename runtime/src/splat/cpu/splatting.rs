@@ -1,0 +1,191 @@
+//! Candidates become splats: decoding, projection, and which pixel rows each one reaches.
+
+use super::anchors::Anchors;
+use super::cull::KeyframeNumbers;
+use super::decode::decode;
+use super::grid::{Grid, MAX_TILE_ROWS, TILE_PX};
+use super::lane::Lane;
+use super::packet::{PACKET, Packet, Row, ZERO_ROW, as_arrays};
+use super::project::{CameraConstants, NEAR_PLANE_M, project};
+use super::simd::Dispatch;
+use super::splats::{LOG2_MIN_ALPHA, Lists, MAX_JOBS, Splat, piece_len, take_front};
+use crate::pool::Pool;
+use core::f32::consts::{LN_2, LOG2_E};
+use pulp::{Simd, WithSimd};
+
+/// The camera, and where it sees each keyframe.
+#[derive(Clone, Copy)]
+pub struct CameraView<'a> {
+    /// Camera from each keyframe row.
+    pub keyframes: &'a [KeyframeNumbers],
+    /// The camera.
+    pub camera: CameraConstants,
+    /// Size of the picture.
+    pub grid: Grid,
+}
+
+/// Key of a candidate that does not meet the picture.
+pub const NOT_VISIBLE: u64 = u64::MAX;
+
+/// Fills splats, sort keys and the counts per row of tiles for the first `n_candidates` candidates.
+pub fn make_splats(
+    pool: &Pool,
+    dispatch: Dispatch,
+    anchors: &Anchors,
+    view: CameraView<'_>,
+    n_candidates: usize,
+    lists: &mut Lists,
+) {
+    let len = piece_len(n_candidates);
+    let mut splats = &mut lists.splats[..n_candidates];
+    let mut keys = &mut lists.keys[..n_candidates];
+    let mut row_counts = &mut lists.row_counts[..];
+    let mut jobs = heapless::Vec::<SplatJob<'_>, MAX_JOBS>::new();
+    for (i, candidates) in lists.candidates[..n_candidates].chunks(len).enumerate() {
+        let job = SplatJob {
+            anchors,
+            view,
+            first: i * len,
+            candidates,
+            splats: take_front(&mut splats, len),
+            keys: take_front(&mut keys, len),
+            row_counts: take_front(&mut row_counts, MAX_TILE_ROWS),
+        };
+        if jobs.push(job).is_err() {
+            unreachable!("piece_len makes at most MAX_JOBS pieces");
+        }
+    }
+    pool.for_each(&mut jobs, |_, job| dispatch.run(RunSplatJob(job)));
+    // Pieces that do not exist count nothing.
+    row_counts.fill(0);
+}
+
+struct SplatJob<'a> {
+    anchors: &'a Anchors,
+    view: CameraView<'a>,
+    first: usize,
+    candidates: &'a [u32],
+    splats: &'a mut [Splat],
+    keys: &'a mut [u64],
+    row_counts: &'a mut [u32],
+}
+
+struct RunSplatJob<'j, 'a>(&'j mut SplatJob<'a>);
+
+impl WithSimd for RunSplatJob<'_, '_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let job = self.0;
+        job.row_counts.fill(0);
+        let (view, fixed) = (job.view, job.anchors.fixed());
+        let params = as_arrays(&job.anchors.params);
+        let mut packet = Packet::new();
+        let mut out = ProjectedRows::new();
+        let outputs = job.splats.chunks_mut(PACKET).zip(job.keys.chunks_mut(PACKET));
+        for (i, (ids, (splats, keys))) in job.candidates.chunks(PACKET).zip(outputs).enumerate() {
+            packet.gather(&fixed, params, view.keyframes, ids, 0);
+            for first in (0..PACKET).step_by(S::F32_LANES) {
+                out.compute(simd, &view.camera, &packet, first);
+            }
+            let candidate = job.first + i * PACKET;
+            for (lane, (splat, key)) in splats.iter_mut().zip(keys).enumerate() {
+                *key = match out.splat(lane, &view.grid) {
+                    Some(found) => {
+                        *splat = found;
+                        let [top, bottom] = found.rows_px.map(|y| usize::from(y) / TILE_PX);
+                        job.row_counts[top..=bottom].iter_mut().for_each(|n| *n += 1);
+                        (u64::from(found.depth_m.to_bits()) << 32) | (candidate + lane) as u64
+                    }
+                    None => NOT_VISIBLE,
+                };
+            }
+        }
+    }
+}
+
+/// Results of the lane mathematics, for [`PACKET`] Gaussians.
+struct ProjectedRows {
+    mean_px: [Row; 2],
+    depth_m: Row,
+    variance_px2: [Row; 2],
+    conic: [Row; 3],
+    opacity: Row,
+    color: [Row; 3],
+}
+
+impl ProjectedRows {
+    fn new() -> Self {
+        Self {
+            mean_px: [ZERO_ROW; 2],
+            depth_m: ZERO_ROW,
+            variance_px2: [ZERO_ROW; 2],
+            conic: [ZERO_ROW; 3],
+            opacity: ZERO_ROW,
+            color: [ZERO_ROW; 3],
+        }
+    }
+
+    #[inline(always)]
+    fn compute<S: Simd>(&mut self, simd: S, camera: &CameraConstants, packet: &Packet, first: usize) {
+        let lanes = packet.lanes(simd, first);
+        let decoded = decode(&lanes.anchor, &lanes.params);
+        let projected = project(camera, &lanes.placement, &decoded);
+        let [xx, xy, yy] = projected.conic;
+        let log2_e = xx.constant(f64::from(LOG2_E));
+        let half = xx.constant(-0.5) * log2_e;
+        for (row, value) in self.conic.iter_mut().zip([half * xx, -log2_e * xy, half * yy]) {
+            row.store(first, value);
+        }
+        for i in 0..2 {
+            self.mean_px[i].store(first, projected.mean_px[i]);
+            self.variance_px2[i].store(first, projected.covariance_px2[2 * i]);
+        }
+        for i in 0..3 {
+            self.color[i].store(first, decoded.color[i]);
+        }
+        self.depth_m.store(first, projected.depth_m);
+        self.opacity.store(first, decoded.opacity);
+    }
+
+    /// The splat of one lane, `None` when it does not meet the picture (or is not a number).
+    #[inline(always)]
+    fn splat(&self, lane: usize, grid: &Grid) -> Option<Splat> {
+        let depth_m = self.depth_m.0[lane];
+        let log2_opacity = self.opacity.0[lane].log2();
+        let reach = log2_opacity - LOG2_MIN_ALPHA;
+        let conic_log2 = [0, 1, 2].map(|i| self.conic[i].0[lane]);
+        let mean_px = [0, 1].map(|i| self.mean_px[i].0[lane]);
+        // q <= ln(255 opacity) reaches sqrt(2 q variance) from the mean.
+        let extent_px = [0, 1].map(|i| (2.0 * LN_2 * reach * self.variance_px2[i].0[lane]).sqrt());
+        let all_finite = (mean_px[0] + mean_px[1] + conic_log2[0] + conic_log2[1] + conic_log2[2]).is_finite()
+            && (extent_px[0] + extent_px[1]).is_finite();
+        let is_ellipse = conic_log2[0] < 0.0 && conic_log2[2] < 0.0;
+        if !(depth_m >= NEAR_PLANE_M && reach >= 0.0 && all_finite && is_ellipse) {
+            return None;
+        }
+        let size = [grid.width, grid.height];
+        let [columns, rows] = [0, 1].map(|i| pixels_within(mean_px[i], -extent_px[i], extent_px[i], size[i]));
+        columns?;
+        Some(Splat {
+            mean_px,
+            conic_log2,
+            log2_opacity,
+            color: [0, 1, 2].map(|i| self.color[i].0[lane]),
+            depth_m,
+            extent_px,
+            rows_px: rows.map(|[first, last]| [first as u16, last as u16])?,
+        })
+    }
+}
+
+/// Rounding errors of an ellipse's border are smaller than this, px.
+const BORDER_MARGIN_PX: f32 = 0.01;
+
+/// First and last pixel whose centre lies in `mean + low..=mean + high`, `None` when there is none in the picture.
+#[inline(always)]
+pub fn pixels_within(mean_px: f32, low_px: f32, high_px: f32, size: usize) -> Option<[usize; 2]> {
+    let first = (mean_px + low_px - 0.5 - BORDER_MARGIN_PX).ceil().max(0.0);
+    let last = (mean_px + high_px - 0.5 + BORDER_MARGIN_PX).floor().min(size as f32 - 1.0);
+    (first <= last).then_some([first as usize, last as usize])
+}

@@ -1,0 +1,4 @@
+//! Tests of the whole chain.
+
+mod compare;
+mod golden;
