@@ -13,6 +13,25 @@ pub enum FrameStatus {
     Lost,
 }
 
+/// Why a frame has the status that it has; the numbers that decided stand beside it in the report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StatusReason {
+    /// The pose explains the image and the motion is one that a vehicle can make.
+    Verified,
+    /// The first frame, which defines the world.
+    FirstFrame,
+    /// Too few matches to estimate a motion from.
+    TooFewMatches,
+    /// No pose with which the matches agree.
+    TooFewInliers,
+    /// Turns by too much since the last step.
+    TurnsTooFast,
+    /// Slips sideways, or drives backwards where it may not.
+    SlipsSideways,
+    /// Too fast, or changes its speed too suddenly.
+    TooFast,
+}
+
 /// What the pose was estimated with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseModel {
@@ -57,6 +76,8 @@ pub struct FrameReport {
     pub timestamp_ns: TimestampNs,
     /// Verdict.
     pub status: FrameStatus,
+    /// Why.
+    pub reason: StatusReason,
     /// What the pose came from.
     pub model: PoseModel,
     /// Whether this frame became a keyframe.

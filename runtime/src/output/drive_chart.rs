@@ -12,23 +12,15 @@ pub struct DriveBucket {
     pub n_frames: u64,
     /// Milliseconds per stage, summed over the frames.
     pub stage_sum_ms: [f64; N_STAGES],
-    /// The slowest frame, ms.
-    pub max_ms: f32,
     /// The most that this process had resident, bytes.
     pub rss_bytes: u64,
 }
 
 impl DriveBucket {
-    /// Mean time of one stage per frame, ms.
-    pub fn mean_ms(&self, stage_idx: usize) -> f64 {
-        self.stage_sum_ms.get(stage_idx).map_or(0.0, |sum| sum / self.n_frames.max(1) as f64)
-    }
-
     fn merged(&self, later: &Self) -> Self {
         Self {
             n_frames: self.n_frames + later.n_frames,
             stage_sum_ms: std::array::from_fn(|k| self.stage_sum_ms[k] + later.stage_sum_ms[k]),
-            max_ms: self.max_ms.max(later.max_ms),
             rss_bytes: self.rss_bytes.max(later.rss_bytes),
         }
     }
@@ -52,12 +44,8 @@ impl Default for DriveChart {
 impl DriveChart {
     /// Adds a frame. Takes no memory.
     pub fn push(&mut self, times: &StageTimes, rss_bytes: u64) {
-        let frame = DriveBucket {
-            n_frames: 1,
-            stage_sum_ms: STAGES.map(|(stage, _)| f64::from(times.ms(stage))),
-            max_ms: times.total_ms(),
-            rss_bytes,
-        };
+        let frame =
+            DriveBucket { n_frames: 1, stage_sum_ms: STAGES.map(|(stage, _)| f64::from(times.ms(stage))), rss_bytes };
         let has_room = self.buckets().last().is_some_and(|last| last.n_frames < self.frames_per_bucket);
         if !has_room {
             if self.n_used == N_BUCKETS {
@@ -116,7 +104,11 @@ mod tests {
     #[test]
     fn buckets_stay_in_order() {
         let chart = chart_of(1000);
-        let means: Vec<f64> = chart.buckets().iter().map(|b| b.mean_ms(Stage::Tracking as usize)).collect();
+        let means: Vec<f64> = chart
+            .buckets()
+            .iter()
+            .map(|bucket| bucket.stage_sum_ms[Stage::Tracking as usize] / bucket.n_frames as f64)
+            .collect();
         assert_eq!(means[..3], [1.5, 5.5, 9.5]);
         assert!(means.is_sorted());
     }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::output::Stage;
-use kilogs_core::tracking::PoseModel;
+use kilogs_core::tracking::{PoseModel, StatusReason};
 use nalgebra::{UnitQuaternion, Vector3};
 use tempfile::TempDir;
 
@@ -13,6 +13,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         frame_index,
         timestamp_ns: frame_index * SPACING_NS,
         status,
+        reason: if status == FrameStatus::Tracked { StatusReason::Verified } else { StatusReason::TooFewInliers },
         model: PoseModel::Essential,
         is_keyframe: along_m == 0.0 && status == FrameStatus::Tracked,
         keyframe_ordinal,
@@ -99,15 +100,18 @@ fn each_row_of_the_table_has_a_cell_for_each_column() {
         (1, "index", "0"),
         (1, "keyframe", "1"),
         (2, "keyframe", "0"),
-        (2, "t_s", "0.100000000"),
+        (2, "t", "0.100000000"),
         (2, "model", "E"),
         (2, "n_inliers", "700"),
         (2, "rotation_anomaly_deg", "1.000"),
         (2, "direction_anomaly_deg", ""),
         (2, "tracking_ms", "12.500"),
+        (2, "reason", "verified"),
         (3, "status", "lost"),
+        (3, "reason", "too_few_inliers"),
+        (4, "reason", "never_arrived"),
         (4, "status", "dropped"),
-        (4, "t_s", ""),
+        (4, "t", ""),
         (4, "tracking_ms", ""),
         (6, "status", "doubtful"),
     ] {

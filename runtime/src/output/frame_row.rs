@@ -4,14 +4,14 @@ use super::number::{Measured, Seconds};
 use super::sink::TextSink;
 use super::{OutputError, STAGES, StageTimes};
 use kilogs_core::conventions::TimestampNs;
-use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel};
+use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
 
 /// Columns before the milliseconds per stage.
-const COLUMNS: &str = "index,t_s,status,keyframe,model,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
+const COLUMNS: &str = "index,t,status,reason,keyframe,model,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
      rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio";
 
-/// Columns of a dropped frame between its status and its (absent) times.
-const NOTHING_MEASURED: &str = ",0,,,,,,,,,,,";
+/// Columns of a dropped frame between its status and its (absent) stage times.
+const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,";
 
 pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
     csv.write(format_args!("{COLUMNS}"))?;
@@ -21,10 +21,11 @@ pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
 
 pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &StageTimes) -> Result<(), OutputError> {
     csv.write(format_args!(
-        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         frame.frame_index,
         Seconds(frame.timestamp_ns),
         status_name(frame.status),
+        reason_name(frame.reason),
         u8::from(frame.is_keyframe),
         model_name(frame.model),
         frame.n_tracks,
@@ -60,6 +61,18 @@ fn status_name(status: FrameStatus) -> &'static str {
         FrameStatus::Tracked => "tracked",
         FrameStatus::Doubtful => "doubtful",
         FrameStatus::Lost => "lost",
+    }
+}
+
+fn reason_name(reason: StatusReason) -> &'static str {
+    match reason {
+        StatusReason::Verified => "verified",
+        StatusReason::FirstFrame => "first_frame",
+        StatusReason::TooFewMatches => "too_few_matches",
+        StatusReason::TooFewInliers => "too_few_inliers",
+        StatusReason::TurnsTooFast => "turns_too_fast",
+        StatusReason::SlipsSideways => "slips_sideways",
+        StatusReason::TooFast => "too_fast",
     }
 }
 

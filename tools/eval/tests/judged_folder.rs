@@ -24,7 +24,7 @@ fn run_folder(folder: &Path, start: usize, n: usize, scale: f64) {
     };
     write(folder, "trajectory_tum.txt", (0..n).map(tum).collect());
     let rows = (0..n).map(|k| format!("{k},{:.9},tracked\n", (start + k) as f64 * 0.1));
-    write(folder, "frames.csv", std::iter::once("index,t_s,status\n".to_owned()).chain(rows).collect());
+    write(folder, "frames.csv", std::iter::once("index,t,status\n".to_owned()).chain(rows).collect());
 }
 
 fn write(folder: &Path, name: &str, text: String) {
