@@ -1,7 +1,7 @@
 //! Corners, evenly spread: at most one new corner per cell of a grid, none where a track already is.
 
-use super::SimdLevel;
-use super::lk::distance;
+use super::lanes::{Kernel, KernelTask, SimdLevel};
+use super::lk::squared_distance;
 use crate::frame::ImageView;
 
 /// Constants of the detector.
@@ -76,10 +76,9 @@ pub fn detect(
     existing_px: impl Iterator<Item = [f32; 2]> + Clone,
     corners: &mut [Corner],
 ) -> CornerReport {
-    simd.dispatch(
-        #[inline(always)]
-        || detect_in_cells(image, settings, existing_px, corners),
-    )
+    let mut report = CornerReport { n_found: 0, n_refused: 0, n_empty_cells: 0 };
+    simd.run(Detect { image, settings, existing_px, corners, report: &mut report });
+    report
 }
 
 /// Cells per row of the grid; wider images get wider cells.
@@ -104,8 +103,24 @@ pub fn cell_side_px(settings: &CornerSettings, width: usize) -> usize {
     (libm::roundf(scaled) as usize).clamp(8, MAX_CELL_PX).max(width.div_ceil(MAX_COLUMNS)).min(MAX_CELL_PX)
 }
 
+struct Detect<'a, I> {
+    image: ImageView<'a>,
+    settings: &'a CornerSettings,
+    existing_px: I,
+    corners: &'a mut [Corner],
+    report: &'a mut CornerReport,
+}
+
+impl<I: Iterator<Item = [f32; 2]> + Clone> KernelTask for Detect<'_, I> {
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        *self.report = detect_in_cells(kernel, self.image, self.settings, self.existing_px, self.corners);
+    }
+}
+
 #[inline(always)]
-fn detect_in_cells(
+fn detect_in_cells<K: Kernel>(
+    kernel: K,
     image: ImageView<'_>,
     settings: &CornerSettings,
     existing_px: impl Iterator<Item = [f32; 2]> + Clone,
@@ -128,8 +143,9 @@ fn detect_in_cells(
         for (column, _) in occupied.iter().enumerate().take(columns).filter(|(_, occupied)| !**occupied) {
             let Some((left, right)) = overlap(column * side, side, border, image.width()) else { continue };
             report.n_empty_cells += 1;
-            let candidates = strongest_in_cell(image, [left, top], [right, bottom]);
-            let far_from = |pixel, other| distance(pixel, other) >= settings.min_distance_px;
+            let candidates = strongest_in_cell(kernel, image, [left, top], [right, bottom]);
+            let nearest_px2 = settings.min_distance_px * settings.min_distance_px;
+            let far_from = |pixel, other| squared_distance(pixel, other) >= nearest_px2;
             let accepted = candidates.iter().find(|corner| {
                 corner.min_eigenvalue >= settings.min_eigenvalue.max(f32::MIN_POSITIVE)
                     && existing_px.clone().all(|px| !px.iter().all(|c| c.is_finite()) || far_from(corner.pixel, px))
@@ -170,7 +186,12 @@ type ProductRow = [[i32; LANES]; 3];
 
 /// The strongest local maxima of the response in `first..end`, strongest first; missing ones are [`Corner::NONE`].
 #[inline(always)]
-fn strongest_in_cell(image: ImageView<'_>, first: [usize; 2], end: [usize; 2]) -> [Corner; CANDIDATES] {
+fn strongest_in_cell<K: Kernel>(
+    kernel: K,
+    image: ImageView<'_>,
+    first: [usize; 2],
+    end: [usize; 2],
+) -> [Corner; CANDIDATES] {
     let mut strongest = [(0.0f32, Corner::NONE); CANDIDATES];
     let (left, top) = (first[0] - HALO, first[1] - HALO);
     let n_lanes = end[0] - first[0] + 2 * HALO;
@@ -195,7 +216,7 @@ fn strongest_in_cell(image: ImageView<'_>, first: [usize; 2], end: [usize; 2]) -
                 let response = responses[1][i];
                 if response > strongest[CANDIDATES - 1].0 && is_maximum(&responses, i) {
                     let pixel = [(left + i) as f32 + 0.5, center_y as f32 + 0.5];
-                    let corner = Corner { pixel, min_eigenvalue: min_eigenvalue(&middle_block, i) };
+                    let corner = Corner { pixel, min_eigenvalue: min_eigenvalue(kernel, &middle_block, i) };
                     keep_strongest(&mut strongest, response, corner);
                 }
             }
@@ -266,18 +287,20 @@ fn response_row([xx, xy, yy]: &[[i32; LANES]; 3]) -> [f32; LANES] {
     responses
 }
 
-fn min_eigenvalue(block: &[[i32; LANES]; 3], i: usize) -> f32 {
+#[inline(always)]
+fn min_eigenvalue<K: Kernel>(kernel: K, block: &[[i32; LANES]; 3], i: usize) -> f32 {
     /// A Sobel sum is eight times the gradient.
     const UNIT: f32 = (BLOCK * BLOCK * 64) as f32;
     let [xx, xy, yy] = [0, 1, 2].map(|k: usize| block[k][i] as f32 / UNIT);
     let half_difference = 0.5 * (xx - yy);
-    0.5 * (xx + yy) - libm::sqrtf(half_difference * half_difference + xy * xy)
+    0.5 * (xx + yy) - kernel.sqrt((half_difference * half_difference + xy * xy).into()) as f32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::testing::Scene;
+    use crate::features::lanes::Plain;
+    use crate::features::testing::{Scene, distance};
     use std::vec;
     use std::vec::Vec;
 
@@ -327,7 +350,7 @@ mod tests {
             let row = |dy| p(-1, dy) + 2.0 * p(0, dy) + p(1, dy);
             [(column(1) - column(-1)) / 8.0, (row(1) - row(-1)) / 8.0]
         };
-        let corner = strongest_in_cell(image, [20, 12], [44, 40])[0];
+        let corner = strongest_in_cell(Plain, image, [20, 12], [44, 40])[0];
         let (cx, cy) = (corner.pixel[0] as usize, corner.pixel[1] as usize);
         let mut sums = [0.0; 3];
         for y in cy - 2..=cy + 2 {

@@ -1,6 +1,6 @@
 //! Pyramidal Lucas-Kanade: where did a point go?
 
-use super::SimdLevel;
+use super::lanes::{Kernel, KernelTask, SimdLevel};
 use super::window::{Template, WINDOW};
 use crate::frame::Pyramid;
 use crate::frame::pyramid::PaddedImage;
@@ -115,18 +115,7 @@ impl Flow {
 /// Bouguet 2001, "Pyramidal implementation of the affine Lucas Kanade feature tracker"; photometric projection:
 /// Baker & Matthews 2004, part 3.
 pub fn track(simd: SimdLevel, source: &Pyramid<'_>, target: &Pyramid<'_>, settings: &LkSettings, flows: &mut [Flow]) {
-    simd.dispatch(
-        #[inline(always)]
-        || {
-            for flow in flows.iter_mut().filter(|flow| flow.verdict == LkVerdict::Pending) {
-                let (target_px, verdict) = search(source, target, settings, flow.source_px, flow.target_px);
-                flow.verdict = verdict;
-                if verdict.is_found() {
-                    flow.target_px = target_px;
-                }
-            }
-        },
-    );
+    simd.run(Search { source, target, settings, flows, there_and_back: false });
 }
 
 /// As [`track`], and then back from where each point was found: those that do not return are `Inconsistent`.
@@ -140,39 +129,59 @@ pub fn track_there_and_back(
     settings: &LkSettings,
     flows: &mut [Flow],
 ) {
-    simd.dispatch(
-        #[inline(always)]
-        || {
-            for flow in flows.iter_mut().filter(|flow| flow.verdict == LkVerdict::Pending) {
-                let expected = [flow.target_px[0] - flow.source_px[0], flow.target_px[1] - flow.source_px[1]];
-                let (target_px, verdict) = search(source, target, settings, flow.source_px, flow.target_px);
-                flow.verdict = verdict;
-                if !verdict.is_found() {
-                    continue;
-                }
-                let expected_back = [target_px[0] - expected[0], target_px[1] - expected[1]];
-                let (back_px, back) = search(target, source, settings, target_px, expected_back);
-                let backward_px = if back.is_found() { distance(back_px, flow.source_px) } else { f32::INFINITY };
-                if backward_px > settings.max_backward_px {
-                    flow.verdict = LkVerdict::Inconsistent { backward_px };
-                } else {
-                    flow.target_px = target_px;
-                }
-            }
-        },
-    );
+    simd.run(Search { source, target, settings, flows, there_and_back: true });
 }
 
-/// Distance of two pixels, px.
+struct Search<'a, 'p> {
+    source: &'a Pyramid<'p>,
+    target: &'a Pyramid<'p>,
+    settings: &'a LkSettings,
+    flows: &'a mut [Flow],
+    there_and_back: bool,
+}
+
+impl KernelTask for Search<'_, '_> {
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { source, target, settings, flows, there_and_back } = self;
+        for flow in flows.iter_mut() {
+            if flow.verdict != LkVerdict::Pending {
+                continue;
+            }
+            let expected = [flow.target_px[0] - flow.source_px[0], flow.target_px[1] - flow.source_px[1]];
+            let (target_px, verdict) = search(kernel, source, target, settings, flow.source_px, flow.target_px);
+            flow.verdict = verdict;
+            if !verdict.is_found() {
+                continue;
+            }
+            if there_and_back {
+                let expected_back = [target_px[0] - expected[0], target_px[1] - expected[1]];
+                let (back_px, back) = search(kernel, target, source, settings, target_px, expected_back);
+                let backward_px = match back.is_found() {
+                    true => kernel.sqrt(squared_distance(back_px, flow.source_px).into()) as f32,
+                    false => f32::INFINITY,
+                };
+                if backward_px > settings.max_backward_px {
+                    flow.verdict = LkVerdict::Inconsistent { backward_px };
+                    continue;
+                }
+            }
+            flow.target_px = target_px;
+        }
+    }
+}
+
+/// Squared distance of two pixels, px².
 #[inline(always)]
-pub(super) fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+pub(super) fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f32 {
     let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
-    libm::sqrtf(dx * dx + dy * dy)
+    dx * dx + dy * dy
 }
 
 /// One point, coarse to fine.
 #[inline(always)]
-fn search(
+fn search<K: Kernel>(
+    kernel: K,
     source: &Pyramid<'_>,
     target: &Pyramid<'_>,
     settings: &LkSettings,
@@ -191,26 +200,26 @@ fn search(
         if from.width().min(from.height()) < WINDOW {
             continue;
         }
-        let Some(template) = Template::around(&from, source_px.map(|c| c * scale)) else { continue };
-        if template.min_eigenvalue() < settings.min_eigenvalue {
+        let Some(template) = Template::around(kernel, &from, source_px.map(|c| c * scale)) else { continue };
+        if template.min_eigenvalue(kernel) < settings.min_eigenvalue {
             continue;
         }
         let start = target_px.map(|c| c * scale);
-        let found = descend(&template, &to, start, settings.max_steps, settings.coarse_converged_px);
+        let found = descend(kernel, &template, &to, start, settings.max_steps, settings.coarse_converged_px);
         target_px = found.map_or(target_px, |px| px.map(|c| c / scale));
     }
     let (Some(from), Some(to)) = (source.level(0), target.level(0)) else { return (target_px, LkVerdict::LeftImage) };
-    let Some(template) = Template::around(&from, source_px) else { return (target_px, LkVerdict::LeftImage) };
-    let min_eigenvalue = template.min_eigenvalue();
+    let Some(template) = Template::around(kernel, &from, source_px) else { return (target_px, LkVerdict::LeftImage) };
+    let min_eigenvalue = template.min_eigenvalue(kernel);
     if min_eigenvalue < settings.min_eigenvalue {
         return (target_px, LkVerdict::Flat { min_eigenvalue });
     }
-    let found = descend(&template, &to, target_px, settings.max_steps, settings.converged_px);
+    let found = descend(kernel, &template, &to, target_px, settings.max_steps, settings.converged_px);
     let px = found.unwrap_or(target_px);
     if !inside(target, px) {
         return (px, LkVerdict::LeftImage);
     }
-    let correlation = template.correlation(&to, px).unwrap_or(-1.0);
+    let correlation = template.correlation(kernel, &to, px).unwrap_or(-1.0);
     if found.is_none() || correlation < settings.min_correlation {
         return (px, LkVerdict::Different { correlation });
     }
@@ -220,7 +229,8 @@ fn search(
 /// Newton steps from `start_px` until they are shorter than `converged_px` or used up; `None` when the search
 /// leaves the image or goes farther than the window reaches.
 #[inline(always)]
-fn descend(
+fn descend<K: Kernel>(
+    kernel: K,
     template: &Template,
     level: &PaddedImage<'_>,
     start_px: [f32; 2],
@@ -231,16 +241,16 @@ fn descend(
     let mut px = start_px;
     let mut last_step = [0.0f32; 2];
     for _ in 0..max_steps {
-        let step = template.step_px(level, px)?;
+        let step = template.compare(kernel, level, px)?.step_px?;
         px = [px[0] + step[0], px[1] + step[1]];
-        if distance(px, start_px) > FARTHEST_PX {
+        if squared_distance(px, start_px) > FARTHEST_PX * FARTHEST_PX {
             return None;
         }
-        if distance(step, [0.0; 2]) < converged_px {
+        if squared_distance(step, [0.0; 2]) < converged_px * converged_px {
             break;
         }
         // Bouguet's steps can swing between two places: the middle is the best guess.
-        if distance(step, last_step.map(|c| -c)) < converged_px {
+        if squared_distance(step, last_step.map(|c| -c)) < converged_px * converged_px {
             px = [px[0] - 0.5 * step[0], px[1] - 0.5 * step[1]];
             break;
         }
@@ -258,7 +268,7 @@ fn is_inside(pyramid: &Pyramid<'_>, px: [f32; 2], border_px: f32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::testing::{Scene, pyramid_of};
+    use crate::features::testing::{Scene, distance, pyramid_of};
     use std::vec::Vec;
 
     const SETTINGS: LkSettings = LkSettings::STANDARD;

@@ -1,6 +1,7 @@
 //! Points that can be recognised in the next image: corners, and their tracks from frame to frame.
 
 pub mod corners;
+mod lanes;
 pub mod lk;
 pub mod tracks;
 mod window;
@@ -9,9 +10,6 @@ mod window;
 mod testing;
 
 pub use corners::{Corner, CornerReport, CornerSettings};
+pub use lanes::SimdLevel;
 pub use lk::{Flow, LkSettings, LkVerdict};
 pub use tracks::{Track, TrackImages, TrackReport, TrackSettings, TrackStorage, TrackTable};
-
-/// Which SIMD instructions the machine has: a token made once at start-up by the caller (`SimdLevel::new()`
-/// detects, `SimdLevel::Scalar` always works). The results have the same bits on every level.
-pub use pulp::Arch as SimdLevel;

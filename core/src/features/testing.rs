@@ -56,6 +56,11 @@ impl Scene {
     }
 }
 
+/// Distance of two pixels, px.
+pub fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
 /// Four-level pyramid of the scene moved by `motion_px`, in `storage`.
 pub fn pyramid_of<'a>(scene: &Scene, motion_px: [f32; 2], storage: &'a mut Vec<u8>) -> Pyramid<'a> {
     storage.resize(bytes_needed(scene.width, scene.height, 4), 0);

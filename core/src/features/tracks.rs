@@ -2,7 +2,7 @@
 
 use super::SimdLevel;
 use super::corners::{self, Corner, CornerReport, CornerSettings};
-use super::lk::{self, Flow, LkSettings, LkVerdict, distance};
+use super::lk::{self, Flow, LkSettings, LkVerdict, squared_distance};
 use crate::frame::Pyramid;
 use core::fmt;
 
@@ -73,7 +73,7 @@ impl Track {
 
     /// Displacement against the last keyframe, px.
     pub fn flow_px(&self) -> f32 {
-        distance(self.current_px, self.keyframe_px)
+        libm::sqrtf(squared_distance(self.current_px, self.keyframe_px))
     }
 }
 
@@ -323,7 +323,7 @@ fn refine_against_keyframe(
         let mut refined = [Flow::new(track.keyframe_px, flow.target_px)];
         lk::track(simd, images.keyframe, images.current, &lk, &mut refined);
         let [refined] = refined;
-        let moved_px = distance(refined.target_px, flow.target_px);
+        let moved_px = libm::sqrtf(squared_distance(refined.target_px, flow.target_px));
         flow.verdict = if refined.verdict.is_found() && moved_px > settings.max_refine_px {
             LkVerdict::Inconsistent { backward_px: moved_px }
         } else {

@@ -1,5 +1,5 @@
 use super::*;
-use crate::features::testing::{Scene, pyramid_of};
+use crate::features::testing::{Scene, distance, pyramid_of};
 use std::vec;
 use std::vec::Vec;
 
