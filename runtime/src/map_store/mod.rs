@@ -32,3 +32,5 @@ pub use writer::{
     DEFAULT_JPEG_QUALITY, MapStoreWriter, PageDraft, StoreCapacity, StoreImage, StoreSettings, StoreSummary, WhenBusy,
     WriteRefusal,
 };
+#[cfg(test)]
+mod fault_tests;

@@ -31,11 +31,11 @@ fn settings(when_busy: WhenBusy) -> StoreSettings {
     StoreSettings { capacity, jpeg_quality: DEFAULT_JPEG_QUALITY, when_busy }
 }
 
-fn create(folder: &Path) -> MapStoreWriter {
+pub(super) fn create(folder: &Path) -> MapStoreWriter {
     MapStoreWriter::create(folder, &manifest(PixelFormat::Rgb8), &settings(WhenBusy::Wait)).expect("a new store")
 }
 
-fn keyframe(id: u32) -> StoredKeyframe {
+pub(super) fn keyframe(id: u32) -> StoredKeyframe {
     StoredKeyframe {
         keyframe_id: id,
         chunk_id: 0,
@@ -73,7 +73,7 @@ fn page_label(page_id: u32) -> PageLabel {
     PageLabel { page_id, first_keyframe_id: page_id * 2, last_keyframe_id: page_id * 2 + 1, ..PageLabel::default() }
 }
 
-fn write_page(store: &MapStoreWriter, page_id: u32) -> Result<(), WriteRefusal> {
+pub(super) fn write_page(store: &MapStoreWriter, page_id: u32) -> Result<(), WriteRefusal> {
     let mut page = store.begin_page(page_label(page_id))?;
     for id in [page_id * 2, page_id * 2 + 1] {
         page.push(&anchor(id), &GAUSSIANS).expect("room for two anchors");
@@ -81,7 +81,7 @@ fn write_page(store: &MapStoreWriter, page_id: u32) -> Result<(), WriteRefusal> 
     store.commit_page(page)
 }
 
-fn write_keyframe(store: &MapStoreWriter, keyframe: &StoredKeyframe) -> Result<(), WriteRefusal> {
+pub(super) fn write_keyframe(store: &MapStoreWriter, keyframe: &StoredKeyframe) -> Result<(), WriteRefusal> {
     let pixels: Vec<u8> = (0..SIZE.0 * SIZE.1 * 3).map(|i| (i / 7 + keyframe.keyframe_id * 20) as u8).collect();
     store.write_keyframe(keyframe, StoreImage { pixels: &pixels, stride_bytes: SIZE.0 as usize * 3 })
 }
@@ -103,11 +103,11 @@ fn write_small_map(folder: &Path) -> Result<StoreSummary, StoreError> {
     store.finish()
 }
 
-fn open(folder: &Path) -> MapStoreReader {
+pub(super) fn open(folder: &Path) -> MapStoreReader {
     MapStoreReader::open(folder, 100).expect("the store opens")
 }
 
-fn scratch() -> tempfile::TempDir {
+pub(super) fn scratch() -> tempfile::TempDir {
     tempfile::tempdir().expect("a scratch folder")
 }
 
