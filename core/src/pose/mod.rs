@@ -11,6 +11,7 @@ mod polynomial;
 mod refine_pose;
 mod refine_relative;
 mod robust;
+mod step_length;
 mod triangulate;
 
 pub use essential::{RelativePose, decompose_essential, essential_of, sampson_distance};
@@ -21,6 +22,7 @@ pub use polynomial::real_roots;
 pub use refine_pose::{LandmarkMatch, PoseRefinement, refine_pose};
 pub use refine_relative::{RelativeRefinement, refine_relative};
 pub use robust::{RelativeEstimate, RelativeSettings, TooFewMatches, estimate_relative, trials_needed};
+pub use step_length::fit_step_length;
 pub use triangulate::{InverseDepth, Sighting, triangulate_inverse_depth};
 
 use nalgebra::Vector2;

@@ -1,10 +1,11 @@
 //! The road's plane from the direct alignment of its pixels between two images.
 
+use super::strip::{Alignment, Fit, Normal5, Strip};
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::Rigid;
-use crate::frame::{ImageView, Pyramid};
+use crate::frame::Pyramid;
 use core::fmt;
-use nalgebra::{Matrix3, SMatrix, SVector, Unit, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// Which part of the image is taken for road, and how far it may deviate from the mounting.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,7 +77,7 @@ pub enum RoadProblem {
     },
     /// The strips do not look alike: a vehicle, a shadow, or a wrong motion.
     Different {
-        /// Correlation of the strips, in thousandths.
+        /// Correlation of the strips.
         correlation: f64,
     },
     /// The plane went where no road can be.
@@ -99,28 +100,11 @@ impl fmt::Display for RoadProblem {
 
 impl core::error::Error for RoadProblem {}
 
-/// Width of Tukey's kernel in standard deviations (95 % efficiency).
-const TUKEY_SIGMAS: f64 = 4.685;
-/// Standard deviation over mean absolute deviation of Gaussian noise.
-const SIGMA_PER_MEAN_ABSOLUTE: f64 = 1.2533;
-/// Camera noise and rounding, grey values: a residual is never weighed as if it were smaller.
-const MIN_NOISE_GREY: f64 = 1.0;
-/// Neighbouring pixels and the interpolation share noise: one in this many counts as independent.
-const PIXELS_PER_INDEPENDENT: f64 = 16.0;
-/// A step that moves the nearest road by less than this many pixels ends the iteration.
-const NEGLIGIBLE_STEP_PX: f64 = 0.005;
 /// Height found over height expected: outside this range it is no road.
 const PLAUSIBLE_RATIO: [f64; 2] = [0.4, 2.5];
 
-type Normal5 = SMatrix<f64, 5, 5>;
-type Vector5 = SVector<f64, 5>;
-
-/// Rows and columns of the strip in one level, and the maps between its pixels and rays.
-struct Strip<'a> {
-    later: ImageView<'a>,
-    earlier: ImageView<'a>,
-    camera: Pinhole,
-}
+/// Ratio of neighbouring lengths in a search.
+const SEARCH_FACTOR: f64 = 1.06;
 
 /// Measures the road's plane by aligning its pixels between two images.
 ///
@@ -157,11 +141,8 @@ pub fn align_road(
     if flow_px.is_nan() || flow_px < settings.min_flow_px {
         return Err(RoadProblem::TooLittleMotion { flow_px });
     }
-    let finest = (0..pair.later.n_levels())
-        .rev()
-        .find(|&l| pair.later.level(l).is_some_and(|level| level.width() >= settings.working_width_px))
-        .unwrap_or(0);
-    let mut state = Alignment { plane: start, gain: 1.0, bias: 0.0 };
+    let finest = finest_level(pair, settings);
+    let mut state = Alignment::at(start);
     let mut measured = None;
     for level in (finest..(finest + 2).min(pair.later.n_levels())).rev() {
         let Some(strip) = Strip::new(pair, level) else { continue };
@@ -170,6 +151,52 @@ pub fn align_road(
     let (normal_equations, fit) =
         measured.ok_or(RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels })?;
     judge(&state, &normal_equations, &fit, pair, settings)
+}
+
+/// Finds the length of a step by trying a row of lengths and comparing the road strips that they predict.
+///
+/// # Inputs
+/// * `pair_of`: the pair with a step of the given length, m.
+/// * `range_m`: shortest and longest step tried; neighbours differ by 6 %.
+/// * `mounting`, `settings`: as for [`align_road`]; the road is taken to be exactly where it is expected.
+///
+/// # Output
+/// The length whose strips correlate best, `None` when none correlates enough.
+///
+/// # Cost
+/// O(pixels of the strip in a coarse level * lengths).
+///
+/// # Source
+/// Own: exhaustive search in the one parameter that is unknown.
+pub fn search_road<'a, 'm: 'a>(
+    pair_of: impl Fn(f64) -> RoadPair<'a, 'm>,
+    range_m: [f64; 2],
+    mounting: &Mounting,
+    settings: &RoadSettings,
+) -> Option<f64> {
+    let mut best = (settings.min_correlation, None);
+    let mut length_m = range_m[0];
+    while length_m <= range_m[1] {
+        let pair = pair_of(length_m);
+        let level = (finest_level(&pair, settings) + 1).min(pair.later.n_levels().saturating_sub(1));
+        if let Some(strip) = Strip::new(&pair, level) {
+            let state = Alignment::at(pair.expected_normal / pair.expected_height_m);
+            let (_, _, fit) = state.equations(&strip, &pair, mounting, settings, f64::INFINITY);
+            if fit.n_pixels >= settings.min_pixels / 2 && fit.correlation > best.0 {
+                best = (fit.correlation, Some(length_m));
+            }
+        }
+        length_m *= SEARCH_FACTOR;
+    }
+    best.1
+}
+
+/// The coarsest level that is still as wide as the settings ask for.
+fn finest_level(pair: &RoadPair<'_, '_>, settings: &RoadSettings) -> usize {
+    (0..pair.later.n_levels())
+        .rev()
+        .find(|&l| pair.later.level(l).is_some_and(|level| level.width() >= settings.working_width_px))
+        .unwrap_or(0)
 }
 
 fn judge(
@@ -197,214 +224,4 @@ fn judge(
         correlation: fit.correlation,
         n_pixels: fit.n_pixels,
     })
-}
-
-impl<'a> Strip<'a> {
-    fn new(pair: &RoadPair<'a, '_>, level: usize) -> Option<Self> {
-        let (later, earlier) = (pair.later.level(level)?.image(), pair.earlier.level(level)?.image());
-        // Levels drop odd columns, so the factor is exactly a power of two and not the ratio of the widths.
-        let factor = 1.0 / f64::from(1u32 << level);
-        let c = pair.camera;
-        let camera = Pinhole {
-            width: u32::try_from(later.width()).ok()?,
-            height: u32::try_from(later.height()).ok()?,
-            fx: c.fx * factor,
-            fy: c.fy * factor,
-            cx: c.cx * factor,
-            cy: c.cy * factor,
-        };
-        Some(Self { later, earlier, camera })
-    }
-}
-
-/// Value and gradient of an image at a sub-pixel position whose 4x4 neighbourhood is inside.
-fn sample(image: &ImageView<'_>, x_px: f64, y_px: f64) -> Option<(f64, f64, f64)> {
-    // Pixel i is centred at i + 0.5.
-    let (x, y) = (x_px - 0.5, y_px - 0.5);
-    let (x0, y0) = (libm::floor(x), libm::floor(y));
-    if !(x0 >= 1.0 && y0 >= 1.0 && x0 + 2.0 < image.width() as f64 && y0 + 2.0 < image.height() as f64) {
-        return None;
-    }
-    let (fx, fy) = (x - x0, y - y0);
-    let (column, row) = (x0 as usize, y0 as usize);
-    let at = |dy: usize| -> Option<[f64; 4]> {
-        let r = image.row(row + dy - 1).get(column - 1..column + 3)?;
-        Some([f64::from(r[0]), f64::from(r[1]), f64::from(r[2]), f64::from(r[3])])
-    };
-    let (above, upper, lower, below) = (at(0)?, at(1)?, at(2)?, at(3)?);
-    let mix = |r: &[f64; 4], i: usize| r[i] + fx * (r[i + 1] - r[i]);
-    let value = mix(&upper, 1) + fy * (mix(&lower, 1) - mix(&upper, 1));
-    let dx = |r: &[f64; 4]| 0.5 * ((r[2] - r[0]) * (1.0 - fx) + (r[3] - r[1]) * fx);
-    let gradient_x = dx(&upper) + fy * (dx(&lower) - dx(&upper));
-    let gradient_y = 0.5 * ((mix(&lower, 1) - mix(&above, 1)) * (1.0 - fy) + (mix(&below, 1) - mix(&upper, 1)) * fy);
-    Some((value, gradient_x, gradient_y))
-}
-
-struct Alignment {
-    /// Normal over height, 1/m.
-    plane: Vector3<f64>,
-    gain: f64,
-    bias: f64,
-}
-
-/// How well the strips agree.
-struct Fit {
-    n_pixels: usize,
-    correlation: f64,
-    noise: f64,
-}
-
-/// Sums for the correlation of two strips.
-#[derive(Default)]
-struct Moments {
-    n: f64,
-    a: f64,
-    b: f64,
-    aa: f64,
-    bb: f64,
-    ab: f64,
-    absolute: f64,
-}
-
-impl Moments {
-    fn add(&mut self, a: f64, b: f64, weight: f64, absolute: f64) {
-        self.n += weight;
-        self.a += weight * a;
-        self.b += weight * b;
-        self.aa += weight * a * a;
-        self.bb += weight * b * b;
-        self.ab += weight * a * b;
-        self.absolute += weight * absolute;
-    }
-
-    fn correlation(&self) -> f64 {
-        let covariance = self.ab - self.a * self.b / self.n;
-        let (va, vb) = (self.aa - self.a * self.a / self.n, self.bb - self.b * self.b / self.n);
-        covariance / libm::sqrt(va * vb).max(f64::MIN_POSITIVE)
-    }
-}
-
-impl Alignment {
-    /// Gauss-Newton on one level; returns the last normal equations and the fit.
-    fn iterate(
-        &mut self,
-        strip: &Strip<'_>,
-        pair: &RoadPair<'_, '_>,
-        mounting: &Mounting,
-        settings: &RoadSettings,
-    ) -> Result<(Normal5, Fit), RoadProblem> {
-        let nearest_z1 = Vector3::new(0.0, mounting.height_m / settings.distance_m[0], 1.0);
-        let px_per_plane = strip.camera.fy * pair.earlier_from_later.translation.vector.norm() * nearest_z1.y;
-        let mut noise = f64::INFINITY;
-        let mut last = None;
-        for _ in 0..settings.max_iterations {
-            let (mut hessian, mut gradient, fit) = self.equations(strip, pair, mounting, settings, noise);
-            if fit.n_pixels < settings.min_pixels {
-                return Err(RoadProblem::TooFewPixels { found: fit.n_pixels, needed: settings.min_pixels });
-            }
-            noise = fit.noise;
-            let independent = 1.0 / (noise * noise * PIXELS_PER_INDEPENDENT);
-            hessian *= independent;
-            gradient *= independent;
-            self.add_prior(pair, settings, &mut hessian, &mut gradient);
-            let Some(step) = hessian.cholesky().map(|c| -c.solve(&gradient)) else {
-                return Err(RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels });
-            };
-            let plane_step = step.fixed_rows::<3>(0).into_owned();
-            self.plane += plane_step;
-            self.gain += step[3];
-            self.bias += step[4];
-            last = Some((hessian, fit));
-            if plane_step.dot(&nearest_z1).abs() * px_per_plane < NEGLIGIBLE_STEP_PX {
-                break;
-            }
-        }
-        last.ok_or(RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels })
-    }
-
-    /// The direction of the plane vector should be the expected normal's, within its uncertainty.
-    fn add_prior(
-        &self,
-        pair: &RoadPair<'_, '_>,
-        settings: &RoadSettings,
-        hessian: &mut Normal5,
-        gradient: &mut Vector5,
-    ) {
-        let normal = pair.expected_normal;
-        let pitch_axis = Unit::new_normalize(Vector3::z() - normal * normal.z).into_inner();
-        let roll_axis = normal.cross(&pitch_axis);
-        for (axis, sigma_rad) in [(pitch_axis, settings.normal_sigma_rad[0]), (roll_axis, settings.normal_sigma_rad[1])]
-        {
-            let sigma = sigma_rad / pair.expected_height_m;
-            let weight = 1.0 / (sigma * sigma);
-            let off = axis.dot(&self.plane);
-            for i in 0..3 {
-                gradient[i] += weight * off * axis[i];
-                for j in 0..3 {
-                    hessian[(i, j)] += weight * axis[i] * axis[j];
-                }
-            }
-        }
-    }
-
-    /// Normal equations over the strip's pixels. An infinite `noise` weighs all pixels alike.
-    fn equations(
-        &self,
-        strip: &Strip<'_>,
-        pair: &RoadPair<'_, '_>,
-        mounting: &Mounting,
-        settings: &RoadSettings,
-        noise: f64,
-    ) -> (Normal5, Vector5, Fit) {
-        let (mut hessian, mut gradient, mut moments) = (Normal5::zeros(), Vector5::zeros(), Moments::default());
-        let rotation = *pair.earlier_from_later.rotation.to_rotation_matrix().matrix();
-        let t = pair.earlier_from_later.translation.vector;
-        let c = &strip.camera;
-        let mut n_pixels = 0;
-        for row in 0..strip.later.height() {
-            let y = (row as f64 + 0.5 - c.cy) / c.fy;
-            let Some((first, end)) = columns(&pair.expected_normal, mounting.height_m, settings, c, y) else {
-                continue;
-            };
-            let pixels = strip.later.row(row);
-            for (column, &later) in pixels.iter().enumerate().take(end).skip(first) {
-                let ray = Vector3::new((column as f64 + 0.5 - c.cx) / c.fx, y, 1.0);
-                let q = rotation * ray + t * self.plane.dot(&ray);
-                let inverse_z = 1.0 / q.z;
-                let (u, v) = (q.x * inverse_z, q.y * inverse_z);
-                let Some((value, gx, gy)) = sample(&strip.earlier, c.fx * u + c.cx, c.fy * v + c.cy) else { continue };
-                let later = f64::from(later);
-                let r = self.gain * value + self.bias - later;
-                let ratio = r / (TUKEY_SIGMAS * noise);
-                let weight = if ratio.abs() < 1.0 { (1.0 - ratio * ratio) * (1.0 - ratio * ratio) } else { 0.0 };
-                n_pixels += 1;
-                moments.add(value, later, weight, r.abs());
-                let along = self.gain * inverse_z * (gx * c.fx * (t.x - u * t.z) + gy * c.fy * (t.y - v * t.z));
-                let jacobian = Vector5::new(along * ray.x, along * ray.y, along, value, 1.0);
-                hessian.ger(weight, &jacobian, &jacobian, 1.0);
-                gradient.axpy(weight * r, &jacobian, 1.0);
-            }
-        }
-        let absolute = moments.absolute / moments.n.max(f64::MIN_POSITIVE);
-        let noise = (SIGMA_PER_MEAN_ABSOLUTE * absolute).max(MIN_NOISE_GREY);
-        (hessian, gradient, Fit { n_pixels, correlation: moments.correlation(), noise })
-    }
-}
-
-/// Columns of a row that see the strip; `None` for rows above it or too near.
-fn columns(
-    normal: &Vector3<f64>,
-    height_m: f64,
-    settings: &RoadSettings,
-    camera: &Pinhole,
-    y_z1: f64,
-) -> Option<(usize, usize)> {
-    let depth_m = height_m / (normal.y * y_z1 + normal.z);
-    if !(depth_m >= settings.distance_m[0] && depth_m <= settings.distance_m[1]) {
-        return None;
-    }
-    let half_px = camera.fx * settings.half_width_m / depth_m;
-    let first = libm::ceil(camera.cx - half_px - 0.5).max(0.0) as usize;
-    let end = libm::ceil(camera.cx + half_px - 0.5).clamp(0.0, f64::from(camera.width)) as usize;
-    (first < end).then_some((first, end))
 }

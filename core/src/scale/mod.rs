@@ -2,6 +2,7 @@
 
 pub mod ground_plane;
 mod scale_filter;
+mod strip;
 
-pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road};
+pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road, search_road};
 pub use scale_filter::{ScaleFilter, ScaleFilterSettings, ScaleUpdate};

@@ -1,5 +1,17 @@
 //! One frame through all tracking stages: the calculator's front door for the pipeline.
 
+mod depths;
+mod frame_pose;
+mod promotion;
+mod road;
+mod settings;
+mod storage;
+mod tracker;
+
+pub use settings::{DynamicFilter, PoseModels, TrackingSettings};
+pub use storage::{BYTES_PER_LANDMARK, BYTES_PER_TRACK, N_PYRAMIDS, TrackerCapacities, TrackerStorage};
+pub use tracker::{Tracker, TrackerStorageProblem};
+
 use crate::conventions::{Rigid, TimestampNs};
 
 /// What became of a frame. Frames that never reached the tracker (`dropped`) are counted by the pipeline.

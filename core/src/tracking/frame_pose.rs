@@ -1,0 +1,345 @@
+//! The pose of one frame against the last keyframe.
+
+use super::settings::{DynamicFilter, PoseModels};
+use super::tracker::{Motion, NO_LANDMARK, Tracker};
+use super::{FrameStatus, PoseModel};
+use crate::camera::{Mounting, Pinhole};
+use crate::conventions::{Rigid, TimestampNs};
+use crate::features::tracks::{Track, TrackReport};
+use crate::math::Rng;
+use crate::pose::{LandmarkMatch, Match, RelativePose, estimate_pnp, estimate_relative, fit_step_length};
+use crate::verify::{MotionVerdict, judge_motion};
+use nalgebra::{Translation3, Vector2, Vector3};
+
+/// Random streams of the robust loops.
+const PURPOSE_PNP: u64 = 1;
+const PURPOSE_ESSENTIAL: u64 = 2;
+/// Tracks of the road that must stand still for the vehicle to stand, and their share.
+const MIN_STANDING_TRACKS: usize = 12;
+const STANDING_SHARE: f64 = 0.6;
+/// Rays this steep below the horizon see the street nearer than about 30 m: sine of the angle.
+const MIN_ROAD_SINE: f64 = 0.05;
+/// A step shorter than this has no direction, m.
+const SHORTEST_STEP_M: f64 = 1e-6;
+
+/// What became of a frame's pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FramePose {
+    pub(super) status: FrameStatus,
+    pub(super) model: PoseModel,
+    pub(super) camera_from_world: Rigid,
+    pub(super) is_keyframe: bool,
+    pub(super) is_standing: bool,
+    /// Whether the length of the step was measured or predicted from measured ones.
+    pub(super) is_metric: bool,
+    pub(super) n_matches: usize,
+    pub(super) n_inliers: usize,
+    pub(super) n_dynamic: usize,
+    pub(super) turn_change_rad: f64,
+    pub(super) side_slip_rad: f64,
+    pub(super) scale_ratio: f64,
+    pub(super) n_road: usize,
+}
+
+impl FramePose {
+    /// The motion model's prediction.
+    pub(super) fn predicted(camera_from_world: &Rigid) -> Self {
+        Self {
+            status: FrameStatus::Doubtful,
+            model: PoseModel::Predicted,
+            camera_from_world: *camera_from_world,
+            is_keyframe: false,
+            is_standing: false,
+            is_metric: false,
+            n_matches: 0,
+            n_inliers: 0,
+            n_dynamic: 0,
+            turn_change_rad: 0.0,
+            side_slip_rad: f64::NAN,
+            scale_ratio: f64::NAN,
+            n_road: 0,
+        }
+    }
+
+    /// No pose; the last one stands in for it.
+    pub(super) fn lost(motion: &Motion) -> Self {
+        Self { status: FrameStatus::Lost, ..Self::predicted(&motion.camera_from_world) }
+    }
+
+    fn solved(camera_from_world: &Rigid, model: PoseModel, n_matches: usize, n_inliers: usize) -> Self {
+        Self {
+            status: FrameStatus::Tracked,
+            model,
+            n_matches,
+            n_inliers,
+            is_metric: true,
+            ..Self::predicted(camera_from_world)
+        }
+    }
+
+    /// Length of the axle's step, m.
+    pub(super) fn step_m(&self, mounting: &Mounting, later_from_earlier: &Rigid) -> f32 {
+        let lever = Vector3::from(mounting.lever_arm_m);
+        let moved = later_from_earlier.rotation.inverse() * (lever - later_from_earlier.translation.vector);
+        (moved - lever).norm() as f32
+    }
+
+    fn with_figures(self, verdict: &MotionVerdict) -> Self {
+        let figures = verdict.figures();
+        Self { turn_change_rad: figures.turn_change_rad, side_slip_rad: figures.side_slip_rad, ..self }
+    }
+}
+
+/// A pixel on the plane z = 1.
+pub(super) fn z1_of(camera: &Pinhole, pixel: [f32; 2]) -> Vector2<f64> {
+    camera.unproject_z1(&Vector2::new(f64::from(pixel[0]), f64::from(pixel[1])))
+}
+
+impl Tracker<'_> {
+    /// Finds, checks and, if need be, replaces the pose of the current frame.
+    pub(super) fn frame_pose(
+        &mut self,
+        predicted: &Rigid,
+        frame_index: u64,
+        timestamp_ns: TimestampNs,
+        tracks: &TrackReport,
+    ) -> FramePose {
+        if self.tracks.tracks().len() < self.settings.min_inliers {
+            return FramePose { status: FrameStatus::Lost, ..FramePose::predicted(predicted) };
+        }
+        if f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still() {
+            return self.standing();
+        }
+        let mut rejected = None;
+        if self.is_started && self.settings.pose_models != PoseModels::Essential {
+            match self.pnp_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
+                Some(Ok(pose)) => return pose,
+                Some(Err(pose)) => rejected = Some(pose),
+                None => {}
+            }
+        }
+        if !self.is_started || self.settings.pose_models != PoseModels::Pnp {
+            match self.essential_pose(predicted, frame_index, timestamp_ns).map(|p| self.verified(p, timestamp_ns)) {
+                Some(Ok(pose)) => return pose,
+                Some(Err(pose)) => rejected = rejected.or(Some(pose)),
+                None => {}
+            }
+        }
+        let figures = rejected.unwrap_or(FramePose::predicted(predicted));
+        FramePose {
+            status: FrameStatus::Doubtful,
+            model: PoseModel::Predicted,
+            camera_from_world: *predicted,
+            ..figures
+        }
+    }
+
+    /// Judges the step from the last frame; `Err` carries the rejected pose with its figures.
+    fn verified(&self, pose: FramePose, timestamp_ns: TimestampNs) -> Result<FramePose, FramePose> {
+        let later_from_earlier = pose.camera_from_world * self.motion.camera_from_world.inverse();
+        let duration_s = self.seconds_since_last(timestamp_ns);
+        let prior = self.motion.prior.as_ref();
+        let limits = &self.settings.motion;
+        let verdict = judge_motion(&later_from_earlier, duration_s, prior, &self.mounting, limits);
+        let pose = pose.with_figures(&verdict);
+        let is_finite = pose.camera_from_world.to_homogeneous().iter().all(|v| v.is_finite());
+        if verdict.is_accepted() && is_finite { Ok(pose) } else { Err(pose) }
+    }
+
+    /// The same pose as the keyframe's: nothing of the street has moved since.
+    fn standing(&self) -> FramePose {
+        let n = self.tracks.tracks().len();
+        let model = if self.is_started { PoseModel::Pnp } else { PoseModel::Essential };
+        FramePose { is_standing: true, ..FramePose::solved(&self.newest.camera_from_world, model, n, n) }
+    }
+
+    /// Whether most points on and beside the road, where any motion must show, have not moved since the keyframe.
+    ///
+    /// Traffic around a standing vehicle can make up most of the flow, and any essential matrix without rotation
+    /// explains a point that stands still; but a street nearer than 30 m cannot stand still under a moving camera.
+    fn street_stands_still(&self) -> bool {
+        let (mut n_street, mut n_still) = (0, 0);
+        for track in self.tracks.tracks() {
+            let z1 = z1_of(&self.camera, track.keyframe_px);
+            let ray = Vector3::new(z1.x, z1.y, 1.0).normalize();
+            if ray.dot(&self.expected_normal) > MIN_ROAD_SINE {
+                n_street += 1;
+                n_still += usize::from(f64::from(track.flow_px()) < self.settings.standing_flow_px);
+            }
+        }
+        n_street >= MIN_STANDING_TRACKS && n_still as f64 > STANDING_SHARE * n_street as f64
+    }
+
+    /// Fills the landmark matches of the current frame and returns their number.
+    pub(super) fn collect_landmark_matches(&mut self) -> usize {
+        let camera_from_world = self.newest.camera_from_world;
+        let mut n = 0;
+        for (track, &landmark_idx) in self.tracks.tracks().iter().zip(self.scratch.landmark_of_track.iter()) {
+            let Some(landmark) = self.landmarks.get(landmark_idx as usize) else { continue };
+            if landmark.is_outlier || !landmark.has_depth() {
+                continue;
+            }
+            let Some((_, inverse_depth)) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
+            let ratio = if landmark.inverse_depth > 0.0 { inverse_depth / landmark.inverse_depth } else { 1.0 };
+            let found = LandmarkMatch {
+                reference_z1: z1_of(&self.camera, track.keyframe_px),
+                inverse_depth,
+                inverse_depth_sigma: landmark.sigma * ratio * ratio,
+                seen_z1: z1_of(&self.camera, track.current_px),
+            };
+            let (Some(slot), Some(idx)) =
+                (self.scratch.landmark_matches.get_mut(n), self.scratch.landmark_of_match.get_mut(n))
+            else {
+                break;
+            };
+            (*slot, *idx) = (found, landmark_idx);
+            n += 1;
+        }
+        n
+    }
+
+    /// Pose from the window's landmarks.
+    fn pnp_pose(&mut self, predicted: &Rigid, frame_index: u64) -> Option<FramePose> {
+        let n = self.collect_landmark_matches();
+        let matches = self.scratch.landmark_matches.get(..n)?;
+        let keyframe_from_world = self.newest.camera_from_world;
+        let settings = self.settings.pnp(&self.camera);
+        let mut rng = Rng::new(self.seed, frame_index, PURPOSE_PNP);
+        let guess = predicted * keyframe_from_world.inverse();
+        let found = estimate_pnp(matches, &guess, &settings, &mut rng, self.scratch.is_inlier).ok()?;
+        let n_inliers = self.scratch.is_inlier.iter().take(n).filter(|&&i| i).count();
+        if n_inliers < self.settings.min_inliers || (n_inliers as f64) < self.settings.min_inlier_ratio * n as f64 {
+            return None;
+        }
+        let camera_from_world = found.refined.camera_from_reference * keyframe_from_world;
+        let n_dynamic = n - n_inliers;
+        Some(FramePose { n_dynamic, ..FramePose::solved(&camera_from_world, PoseModel::Pnp, n, n_inliers) })
+    }
+
+    /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.
+    fn essential_pose(&mut self, predicted: &Rigid, frame_index: u64, timestamp_ns: TimestampNs) -> Option<FramePose> {
+        let n = self.collect_matches();
+        let matches = self.scratch.matches.get(..n)?;
+        let keyframe_from_world = self.newest.camera_from_world;
+        let guess = predicted * keyframe_from_world.inverse();
+        let length_m = guess.translation.vector.norm();
+        let predicted_direction = (length_m > SHORTEST_STEP_M)
+            .then(|| RelativePose { rotation: guess.rotation, direction: guess.translation.vector / length_m });
+        let settings = self.settings.relative(&self.camera);
+        let mut rng = Rng::new(self.seed, frame_index, PURPOSE_ESSENTIAL);
+        let found =
+            estimate_relative(matches, predicted_direction.as_ref(), &settings, &mut rng, self.scratch.is_inlier)
+                .ok()?;
+        let needed = self.settings.min_inliers.max((self.settings.min_inlier_ratio * n as f64) as usize);
+        let in_front = self.settings.min_in_front_ratio * found.n_inliers as f64;
+        if found.n_inliers < needed || (found.n_in_front as f64) < in_front {
+            return None;
+        }
+        let motion = found.second_from_first;
+        let mut pose = FramePose {
+            n_dynamic: n - found.n_inliers,
+            ..FramePose::solved(&keyframe_from_world, PoseModel::Essential, n, found.n_inliers)
+        };
+        let step_m = self.length_of_step(&motion, length_m, timestamp_ns, &mut pose)?;
+        let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * step_m), motion.rotation);
+        pose.camera_from_world = camera_from_keyframe * keyframe_from_world;
+        Some(pose)
+    }
+
+    /// Metres of the step since the keyframe: from landmarks, else from the road, else from the speed so far.
+    fn length_of_step(
+        &mut self,
+        motion: &RelativePose,
+        predicted_m: f64,
+        timestamp_ns: TimestampNs,
+        pose: &mut FramePose,
+    ) -> Option<f64> {
+        let n = if self.is_started { self.collect_landmark_matches() } else { 0 };
+        if n >= self.settings.min_inliers {
+            let matches = self.scratch.landmark_matches.get(..n)?;
+            return fit_step_length(matches, motion, predicted_m, self.settings.noise_z1(&self.camera));
+        }
+        if let Some(measured) = self.road_step(motion, predicted_m) {
+            pose.n_road = measured.n_pixels;
+            pose.is_metric = true;
+            return Some(measured.step_m);
+        }
+        let has_speed = self.motion.prior.is_some() && timestamp_ns > self.motion.timestamp_ns;
+        pose.is_metric = false;
+        has_speed.then_some(predicted_m)
+    }
+
+    /// Fills the matches of all live tracks with the keyframe and returns their number.
+    pub(super) fn collect_matches(&mut self) -> usize {
+        let flow_limit = self.flow_limit_px();
+        let mut n = 0;
+        let alive = self.tracks.tracks().iter().filter(|t| t.flow_px() <= flow_limit);
+        for (slot, track) in self.scratch.matches.iter_mut().zip(alive) {
+            *slot = Match {
+                first_z1: z1_of(&self.camera, track.keyframe_px),
+                second_z1: z1_of(&self.camera, track.current_px),
+            };
+            n += 1;
+        }
+        n
+    }
+
+    /// Largest flow that the paper's filter lets pass, px.
+    fn flow_limit_px(&self) -> f32 {
+        if self.settings.dynamic_filter != DynamicFilter::Paper {
+            return f32::INFINITY;
+        }
+        flow_limit_px(self.tracks.tracks())
+    }
+
+    /// Renews the table from tracks to landmarks and notes which landmarks have lost their track.
+    pub(super) fn link_landmarks(&mut self) {
+        let tracks = self.tracks.tracks();
+        self.scratch.landmark_of_track.fill(NO_LANDMARK);
+        for (i, landmark) in self.landmarks.iter_mut().enumerate().filter(|(_, l)| l.is_used() && l.is_tracked) {
+            match tracks.binary_search_by_key(&landmark.track_id, |t| t.id) {
+                Ok(place) => {
+                    if let Some(slot) = self.scratch.landmark_of_track.get_mut(place) {
+                        *slot = i as u32;
+                    }
+                }
+                Err(_) => landmark.is_tracked = false,
+            }
+        }
+    }
+}
+
+/// The paper's limit, median + 3 MAD of the flow, by bisection: it needs no memory for sorting.
+fn flow_limit_px(tracks: &[Track]) -> f32 {
+    const MADS: f32 = 3.0;
+    let median_px = median(tracks.iter().map(Track::flow_px));
+    let mad_px = median(tracks.iter().map(|t| (t.flow_px() - median_px).abs()));
+    median_px + MADS * mad_px
+}
+
+/// Median by bisection of the value range, to f32 precision.
+fn median(values: impl Iterator<Item = f32> + Clone) -> f32 {
+    const HALVINGS: usize = 30;
+    let n = values.clone().count();
+    let (mut low, mut high) = (0.0_f32, values.clone().fold(0.0, f32::max));
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if 2 * values.clone().filter(|&v| v <= middle).count() >= n { high = middle } else { low = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_needs_no_memory() {
+        for (values, expected) in
+            [([1.0, 9.0, 3.0, 2.0, 100.0], 3.0), ([5.0; 5], 5.0), ([0.0, 0.0, 0.0, 7.0, 8.0], 0.0)]
+        {
+            assert!((median(values.into_iter()) - expected).abs() < 1e-4, "{values:?}");
+        }
+        assert_eq!(median([].into_iter()), 0.0);
+    }
+}

@@ -1,0 +1,368 @@
+//! The tracker: storage, state and the order of the stages.
+
+use super::frame_pose::FramePose;
+use super::settings::TrackingSettings;
+use super::storage::{N_PYRAMIDS, TrackerCapacities, TrackerStorage};
+use super::{FrameReport, FrameStatus, KeyframePoint, PoseModel, RoadPlane};
+use crate::bundle::ReducedSystem;
+use crate::camera::{Mounting, Pinhole};
+use crate::conventions::{Rigid, TimestampNs};
+use crate::features::SimdLevel;
+use crate::features::tracks::{TrackImages, TrackReport, TrackTable};
+use crate::frame::{ImageView, Pyramid};
+use crate::gate;
+use crate::keyframe::{Keyframe, KeyframeWindow, Landmark};
+use crate::math::se3;
+use crate::pose::{LandmarkMatch, Match};
+use crate::scale::ScaleFilter;
+use crate::verify::MotionPrior;
+use core::fmt;
+use nalgebra::{Vector3, Vector6};
+
+/// Levels of every pyramid, the full image included.
+pub(super) const PYRAMID_LEVELS: usize = 4;
+/// Prediction does not coast for longer than this, s.
+const MAX_COAST_S: f64 = 1.0;
+/// Nanoseconds per second.
+const NS_PER_S: f64 = 1e9;
+/// A track without a landmark.
+pub(super) const NO_LANDMARK: u32 = u32::MAX;
+
+/// The slices of a [`TrackerStorage`] do not fit the capacities: a mistake of the caller, to be mended there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TrackerStorageProblem {
+    /// What was too small.
+    pub what: &'static str,
+    /// Its size: elements, or bytes of a pyramid.
+    pub found: usize,
+    /// The size needed.
+    pub needed: usize,
+}
+
+impl fmt::Display for TrackerStorageProblem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "tracker storage: {} has {}, {} needed", self.what, self.found, self.needed)
+    }
+}
+
+impl core::error::Error for TrackerStorageProblem {}
+
+/// Scratch slices, all as long as the track table.
+pub(super) struct Scratch<'m> {
+    pub(super) matches: &'m mut [Match],
+    pub(super) landmark_matches: &'m mut [LandmarkMatch],
+    pub(super) is_inlier: &'m mut [bool],
+    pub(super) landmark_of_track: &'m mut [u32],
+    pub(super) landmark_of_match: &'m mut [u32],
+}
+
+/// The last believed or predicted pose and how it moves.
+pub(super) struct Motion {
+    pub(super) camera_from_world: Rigid,
+    pub(super) timestamp_ns: TimestampNs,
+    /// Tangent of `later_from_earlier` per second.
+    pub(super) velocity: Vector6<f64>,
+    pub(super) prior: Option<MotionPrior>,
+}
+
+/// Follows one camera from image to image: every image in, one [`FrameReport`] out.
+///
+/// The order of the stages is that of [`step`](Self::step); nothing here allocates.
+pub struct Tracker<'m> {
+    pub(super) camera: Pinhole,
+    pub(super) mounting: Mounting,
+    pub(super) settings: TrackingSettings,
+    pub(super) simd: SimdLevel,
+    pub(super) seed: u64,
+    pub(super) pyramids: [Pyramid<'m>; N_PYRAMIDS],
+    pub(super) keyframe_slot: usize,
+    pub(super) previous_slot: usize,
+    pub(super) current_slot: usize,
+    pub(super) tracks: TrackTable<'m>,
+    pub(super) landmarks: &'m mut [Landmark],
+    pub(super) window: KeyframeWindow,
+    pub(super) newest: Keyframe,
+    pub(super) scratch: Scratch<'m>,
+    pub(super) bundle: &'m mut ReducedSystem,
+    pub(super) keyframe_points: &'m mut [KeyframePoint],
+    pub(super) n_keyframe_points: usize,
+    pub(super) motion: Motion,
+    pub(super) scale: ScaleFilter,
+    pub(super) expected_normal: Vector3<f64>,
+    pub(super) road: Option<RoadPlane>,
+    /// Whether the window has landmarks with metric depth.
+    pub(super) is_started: bool,
+    n_doubtful: u32,
+}
+
+impl fmt::Debug for Tracker<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (n_tracks, n_keyframes) = (self.tracks.tracks().len(), self.window.next_ordinal());
+        write!(f, "Tracker {{ n_tracks: {n_tracks}, n_keyframes: {n_keyframes}, is_started: {} }}", self.is_started)
+    }
+}
+
+impl<'m> Tracker<'m> {
+    /// A tracker that has seen nothing. The first frame that it accepts defines the world.
+    ///
+    /// # Inputs
+    /// * `camera`: size and intrinsics of every image to come, pixel centres at +0.5.
+    /// * `mounting`: height, road normal, forward axis, rear axle.
+    /// * `simd`: what the machine can do; results have the same bits on every level.
+    /// * `seed`: of the robust loops.
+    ///
+    /// # Errors
+    /// [`TrackerStorageProblem`] names the slice that is too small.
+    pub fn new(
+        camera: Pinhole,
+        mounting: Mounting,
+        settings: TrackingSettings,
+        simd: SimdLevel,
+        seed: u64,
+        storage: TrackerStorage<'m>,
+    ) -> Result<Self, TrackerStorageProblem> {
+        let (shortest, needed) = storage.shortest();
+        if shortest < needed {
+            return Err(TrackerStorageProblem { what: "a scratch slice", found: shortest, needed });
+        }
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let pyramid = |bytes: &'m mut [u8]| {
+            Pyramid::new(bytes, width, height, PYRAMID_LEVELS).map_err(|e| TrackerStorageProblem {
+                what: "a pyramid",
+                found: e.bytes,
+                needed: e.needed,
+            })
+        };
+        let [first, second, third] = storage.pyramids;
+        let tracks = TrackTable::new(storage.tracks).map_err(|e| TrackerStorageProblem {
+            what: "a slice of the track table",
+            found: e.shortest,
+            needed: e.longest,
+        })?;
+        let identity = Rigid::identity();
+        Ok(Self {
+            camera,
+            mounting,
+            settings,
+            simd,
+            seed,
+            pyramids: [pyramid(first)?, pyramid(second)?, pyramid(third)?],
+            keyframe_slot: 0,
+            previous_slot: 0,
+            current_slot: 0,
+            tracks,
+            landmarks: storage.landmarks,
+            window: KeyframeWindow::new(),
+            newest: Keyframe { ordinal: 0, frame_index: 0, timestamp_ns: 0, camera_from_world: identity },
+            scratch: Scratch {
+                matches: storage.matches,
+                landmark_matches: storage.landmark_matches,
+                is_inlier: storage.is_inlier,
+                landmark_of_track: storage.landmark_of_track,
+                landmark_of_match: storage.landmark_of_match,
+            },
+            bundle: storage.bundle,
+            keyframe_points: storage.keyframe_points,
+            n_keyframe_points: 0,
+            motion: Motion { camera_from_world: identity, timestamp_ns: 0, velocity: Vector6::zeros(), prior: None },
+            scale: ScaleFilter::new(&settings.scale),
+            expected_normal: mounting.road_normal_in_camera(),
+            road: None,
+            is_started: false,
+            n_doubtful: 0,
+        })
+    }
+
+    /// What this tracker's storage holds.
+    pub fn capacities(&self) -> TrackerCapacities {
+        TrackerCapacities {
+            width: self.camera.width as usize,
+            height: self.camera.height as usize,
+            tracks: self.tracks.capacity(),
+            landmarks: self.landmarks.len(),
+        }
+    }
+
+    /// The window of keyframes with their newest poses.
+    pub fn window(&self) -> &KeyframeWindow {
+        &self.window
+    }
+
+    /// Triangulated points as the newest keyframe sees them.
+    pub fn keyframe_points(&self) -> &[KeyframePoint] {
+        self.keyframe_points.get(..self.n_keyframe_points).unwrap_or(&[])
+    }
+
+    /// The road as the newest keyframe sees it, `None` until it has been measured.
+    pub fn road_plane(&self) -> Option<RoadPlane> {
+        self.road
+    }
+
+    /// Takes one image and says where it was taken.
+    ///
+    /// Tracks -> pose (landmarks, else essential matrix) -> verification -> gate -> on a keyframe: sightings,
+    /// new depths, bundle adjustment, road scale, new corners.
+    ///
+    /// # Inputs
+    /// * `image`: grey, of the camera's size; another size is a lost frame.
+    /// * `timestamp_ns`: ascending; a frame that is not later than the last one is a lost frame.
+    ///
+    /// # Output
+    /// Pose, verdict and figures. Numbers are finite except where their documentation says NaN.
+    pub fn step(&mut self, image: ImageView<'_>, frame_index: u64, timestamp_ns: TimestampNs) -> FrameReport {
+        let is_first_ever = self.window.next_ordinal() == 0;
+        self.current_slot =
+            (0..N_PYRAMIDS).find(|&slot| slot != self.keyframe_slot && slot != self.previous_slot).unwrap_or(0);
+        let is_late = timestamp_ns > self.motion.timestamp_ns || is_first_ever;
+        if !is_late || self.pyramids[self.current_slot].build(image).is_err() {
+            return self.report(frame_index, timestamp_ns, &FramePose::lost(&self.motion), &TrackReport::default());
+        }
+        let predicted = self.predict(timestamp_ns);
+        if self.window.is_empty() {
+            let pose = self.start_window(frame_index, timestamp_ns, &predicted);
+            return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
+        }
+        let images = TrackImages {
+            keyframe: &self.pyramids[self.keyframe_slot],
+            previous: &self.pyramids[self.previous_slot],
+            current: &self.pyramids[self.current_slot],
+        };
+        let track_report = self.tracks.advance(self.simd, images, &self.settings.tracks);
+        self.link_landmarks();
+        let mut pose = self.frame_pose(&predicted, frame_index, timestamp_ns, &track_report);
+        self.previous_slot = self.current_slot;
+        if pose.status == FrameStatus::Tracked {
+            self.n_doubtful = 0;
+            if self.wants_keyframe(&pose, &track_report) {
+                self.promote(frame_index, timestamp_ns, &mut pose);
+            }
+            self.believe(&pose, timestamp_ns);
+        } else {
+            self.n_doubtful += 1;
+            self.motion.camera_from_world = pose.camera_from_world;
+            self.motion.timestamp_ns = timestamp_ns;
+            if self.n_doubtful >= self.settings.max_doubtful_frames || pose.status == FrameStatus::Lost {
+                self.abandon_window();
+            }
+        }
+        self.report(frame_index, timestamp_ns, &pose, &track_report)
+    }
+
+    /// Seconds since the last frame that has a pose.
+    pub(super) fn seconds_since_last(&self, timestamp_ns: TimestampNs) -> f64 {
+        timestamp_ns.saturating_sub(self.motion.timestamp_ns) as f64 / NS_PER_S
+    }
+
+    /// Constant velocity.
+    fn predict(&self, timestamp_ns: TimestampNs) -> Rigid {
+        let duration_s = self.seconds_since_last(timestamp_ns).min(MAX_COAST_S);
+        se3::exp(&(self.motion.velocity * duration_s)) * self.motion.camera_from_world
+    }
+
+    fn wants_keyframe(&self, pose: &FramePose, tracks: &TrackReport) -> bool {
+        if pose.is_standing {
+            return false;
+        }
+        let width_px = self.camera.width as usize;
+        let mut limits = self.settings.gate;
+        if !self.is_started {
+            limits.min_flow_px = limits.min_flow_px.min(self.settings.first_flow_px as f32);
+        }
+        let change = gate::ViewChange {
+            median_flow_px: tracks.median_flow_px,
+            n_tracks: tracks.n_live,
+            n_tracks_at_keyframe: self.tracks.n_at_keyframe(),
+            width_px,
+        };
+        gate::judge(&change, &limits).is_keyframe() && (self.is_started || pose.is_metric)
+    }
+
+    /// Takes over a believed pose.
+    fn believe(&mut self, pose: &FramePose, timestamp_ns: TimestampNs) {
+        let duration_s = self.seconds_since_last(timestamp_ns);
+        let later_from_earlier = pose.camera_from_world * self.motion.camera_from_world.inverse();
+        let velocity = se3::log(&later_from_earlier) / duration_s;
+        if duration_s > 0.0 && velocity.iter().all(|v| v.is_finite()) {
+            self.motion.velocity = velocity;
+            self.motion.prior = Some(MotionPrior {
+                rotation_rate: Vector3::new(velocity[0], velocity[1], velocity[2]),
+                speed_m_per_s: f64::from(pose.step_m(&self.mounting, &later_from_earlier)) / duration_s,
+            });
+        }
+        self.motion.camera_from_world = pose.camera_from_world;
+        self.motion.timestamp_ns = timestamp_ns;
+    }
+
+    /// Opens a window at the predicted pose, if the image has something to hold on to.
+    fn start_window(&mut self, frame_index: u64, timestamp_ns: TimestampNs, predicted: &Rigid) -> FramePose {
+        let is_first_ever = self.window.next_ordinal() == 0;
+        self.tracks.clear();
+        let current = &self.pyramids[self.current_slot];
+        let found = self.tracks.promote(self.simd, current, &self.settings.tracks).n_found;
+        if found < self.settings.min_corners {
+            self.tracks.clear();
+            return FramePose::lost(&self.motion);
+        }
+        (self.keyframe_slot, self.previous_slot) = (self.current_slot, self.current_slot);
+        let column = self.window.push(frame_index, timestamp_ns, *predicted, self.landmarks);
+        self.adopt_new_tracks(column);
+        self.note_newest();
+        self.motion.camera_from_world = *predicted;
+        self.motion.timestamp_ns = timestamp_ns;
+        self.n_doubtful = 0;
+        FramePose {
+            status: if is_first_ever { FrameStatus::Tracked } else { FrameStatus::Doubtful },
+            model: if is_first_ever { PoseModel::Origin } else { PoseModel::Predicted },
+            is_keyframe: true,
+            ..FramePose::predicted(predicted)
+        }
+    }
+
+    /// Gives the window up; the next frame opens a new one at the predicted pose.
+    fn abandon_window(&mut self) {
+        self.window.clear(self.landmarks);
+        self.tracks.clear();
+        self.is_started = false;
+        self.n_doubtful = 0;
+        self.n_keyframe_points = 0;
+        self.road = None;
+        self.scale = ScaleFilter::new(&self.settings.scale);
+    }
+
+    /// Remembers the newest keyframe, to which reports are relative even after the window was given up.
+    pub(super) fn note_newest(&mut self) {
+        if let Some(newest) = self.window.newest() {
+            self.newest = *newest;
+        }
+    }
+
+    fn report(
+        &self,
+        frame_index: u64,
+        timestamp_ns: TimestampNs,
+        pose: &FramePose,
+        tracks: &TrackReport,
+    ) -> FrameReport {
+        let world_from_camera = pose.camera_from_world.inverse();
+        FrameReport {
+            frame_index,
+            timestamp_ns,
+            status: pose.status,
+            model: pose.model,
+            is_keyframe: pose.is_keyframe,
+            keyframe_ordinal: self.newest.ordinal,
+            keyframe_from_camera: self.newest.camera_from_world * world_from_camera,
+            world_from_camera,
+            n_tracks: self.tracks.tracks().len() as u32,
+            n_matches: pose.n_matches as u32,
+            n_inliers: pose.n_inliers as u32,
+            n_dynamic: pose.n_dynamic as u32,
+            median_flow_px: tracks.median_flow_px,
+            rotation_anomaly_rad: pose.turn_change_rad as f32,
+            direction_anomaly_rad: pose.side_slip_rad as f32,
+            step_m: (self.newest.camera_from_world * world_from_camera).translation.vector.norm() as f32,
+            scale_ratio: pose.scale_ratio as f32,
+            n_road: pose.n_road as u32,
+        }
+    }
+}
