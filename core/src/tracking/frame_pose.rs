@@ -2,7 +2,7 @@
 
 use super::settings::{DynamicFilter, PoseModels};
 use super::tracker::{Motion, NO_LANDMARK, Tracker};
-use super::{FrameStatus, PoseModel};
+use super::{FrameStatus, PoseModel, StatusReason};
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::{Track, TrackReport};
@@ -26,6 +26,7 @@ const SHORTEST_STEP_M: f64 = 1e-6;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FramePose {
     pub(super) status: FrameStatus,
+    pub(super) reason: StatusReason,
     pub(super) model: PoseModel,
     pub(super) camera_from_world: Rigid,
     pub(super) is_keyframe: bool,
@@ -46,6 +47,7 @@ impl FramePose {
     pub(super) fn predicted(camera_from_world: &Rigid) -> Self {
         Self {
             status: FrameStatus::Doubtful,
+            reason: StatusReason::TooFewInliers,
             model: PoseModel::Predicted,
             camera_from_world: *camera_from_world,
             is_keyframe: false,
@@ -62,13 +64,14 @@ impl FramePose {
     }
 
     /// No pose; the last one stands in for it.
-    pub(super) fn lost(motion: &Motion) -> Self {
-        Self { status: FrameStatus::Lost, ..Self::predicted(&motion.camera_from_world) }
+    pub(super) fn lost(motion: &Motion, reason: StatusReason) -> Self {
+        Self { status: FrameStatus::Lost, reason, ..Self::predicted(&motion.camera_from_world) }
     }
 
     fn solved(camera_from_world: &Rigid, model: PoseModel, n_matches: usize, n_inliers: usize) -> Self {
         Self {
             status: FrameStatus::Tracked,
+            reason: StatusReason::Verified,
             model,
             n_matches,
             n_inliers,
@@ -85,8 +88,14 @@ impl FramePose {
     }
 
     fn with_figures(self, verdict: &MotionVerdict) -> Self {
+        let reason = match verdict {
+            MotionVerdict::Accept(_) => self.reason,
+            MotionVerdict::TurnsTooFast(_) => StatusReason::TurnsTooFast,
+            MotionVerdict::SlipsSideways(_) => StatusReason::SlipsSideways,
+            MotionVerdict::TooFast(_) => StatusReason::TooFast,
+        };
         let figures = verdict.figures();
-        Self { turn_change_rad: figures.turn_change_rad, side_slip_rad: figures.side_slip_rad, ..self }
+        Self { reason, turn_change_rad: figures.turn_change_rad, side_slip_rad: figures.side_slip_rad, ..self }
     }
 }
 
@@ -105,7 +114,8 @@ impl Tracker<'_> {
         tracks: &TrackReport,
     ) -> FramePose {
         if self.tracks.tracks().len() < self.settings.min_inliers {
-            return FramePose { status: FrameStatus::Lost, ..FramePose::predicted(predicted) };
+            let reason = StatusReason::TooFewMatches;
+            return FramePose { status: FrameStatus::Lost, reason, ..FramePose::predicted(predicted) };
         }
         if f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still() {
             return self.standing();

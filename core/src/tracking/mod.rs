@@ -42,6 +42,10 @@ pub enum StatusReason {
     SlipsSideways,
     /// Too fast, or changes its speed too suddenly.
     TooFast,
+    /// The window was given up and opens anew here; what happened in between is predicted.
+    Restarted,
+    /// The image has another size than the camera, or is not later than the one before.
+    Unusable,
 }
 
 /// What the pose was estimated with.

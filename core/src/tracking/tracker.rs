@@ -3,7 +3,7 @@
 use super::frame_pose::FramePose;
 use super::settings::TrackingSettings;
 use super::storage::{N_PYRAMIDS, TrackerCapacities, TrackerStorage};
-use super::{FrameReport, FrameStatus, KeyframePoint, PoseModel, RoadPlane};
+use super::{FrameReport, FrameStatus, KeyframePoint, PoseModel, RoadPlane, StatusReason};
 use crate::bundle::ReducedSystem;
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
@@ -215,7 +215,8 @@ impl<'m> Tracker<'m> {
             (0..N_PYRAMIDS).find(|&slot| slot != self.keyframe_slot && slot != self.previous_slot).unwrap_or(0);
         let is_late = timestamp_ns > self.motion.timestamp_ns || is_first_ever;
         if !is_late || self.pyramids[self.current_slot].build(image).is_err() {
-            return self.report(frame_index, timestamp_ns, &FramePose::lost(&self.motion), &TrackReport::default());
+            let pose = FramePose::lost(&self.motion, StatusReason::Unusable);
+            return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
         }
         let predicted = self.predict(timestamp_ns);
         if self.window.is_empty() {
@@ -301,7 +302,7 @@ impl<'m> Tracker<'m> {
         let found = self.tracks.promote(self.simd, current, &self.settings.tracks).n_found;
         if found < self.settings.min_corners {
             self.tracks.clear();
-            return FramePose::lost(&self.motion);
+            return FramePose::lost(&self.motion, StatusReason::TooFewMatches);
         }
         (self.keyframe_slot, self.previous_slot) = (self.current_slot, self.current_slot);
         let column = self.window.push(frame_index, timestamp_ns, *predicted, self.landmarks);
@@ -312,6 +313,7 @@ impl<'m> Tracker<'m> {
         self.n_doubtful = 0;
         FramePose {
             status: if is_first_ever { FrameStatus::Tracked } else { FrameStatus::Doubtful },
+            reason: if is_first_ever { StatusReason::FirstFrame } else { StatusReason::Restarted },
             model: if is_first_ever { PoseModel::Origin } else { PoseModel::Predicted },
             is_keyframe: true,
             ..FramePose::predicted(predicted)
@@ -348,6 +350,7 @@ impl<'m> Tracker<'m> {
             frame_index,
             timestamp_ns,
             status: pose.status,
+            reason: pose.reason,
             model: pose.model,
             is_keyframe: pose.is_keyframe,
             keyframe_ordinal: self.newest.ordinal,

@@ -73,6 +73,8 @@ fn reason_name(reason: StatusReason) -> &'static str {
         StatusReason::TurnsTooFast => "turns_too_fast",
         StatusReason::SlipsSideways => "slips_sideways",
         StatusReason::TooFast => "too_fast",
+        StatusReason::Restarted => "restarted",
+        StatusReason::Unusable => "unusable",
     }
 }
 
