@@ -29,7 +29,10 @@ fn acts_as_camera() {
 }
 
 fn open(purpose: &str) -> (FrameInput, String) {
-    let service = unique_service_name(purpose);
+    open_at(unique_service_name(purpose))
+}
+
+fn open_at(service: String) -> (FrameInput, String) {
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: None };
     let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT };
     (FrameInput::open(&settings).expect("shared memory"), service)
@@ -202,6 +205,26 @@ fn a_camera_whose_tracker_goes_away_ends_with_an_error() {
     while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
     drop(input);
     assert_eq!(camera.wait(PATIENCE).and_then(|status| status.code()), Some(1));
+}
+
+#[test]
+fn a_live_camera_outlives_its_tracker_unless_told_otherwise() {
+    let check = |more: &[&str], expected_exit_code: Option<i32>| {
+        let recording = grey_recording(600);
+        let (mut input, service) = open("live-tracker-gone");
+        let live = [&["--live", "--wait-for-tracker", "30"], more].concat();
+        let mut camera = camera(recording.path(), &service, &live);
+        while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
+        drop(input);
+        let status = camera.wait(if expected_exit_code.is_some() { PATIENCE } else { Duration::from_millis(500) });
+        assert_eq!(status.and_then(|status| status.code()), expected_exit_code);
+        if expected_exit_code.is_none() {
+            let (mut next, _) = open_at(service);
+            while !matches!(next.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
+        }
+    };
+    check(&[], None);
+    check(&["--end-with-tracker"], Some(1));
 }
 
 #[test]

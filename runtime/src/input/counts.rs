@@ -11,6 +11,8 @@ pub struct InputCounts {
     pub n_missing: u64,
     /// How often another camera process took over.
     pub n_restarts: u32,
+    /// Attempts to connect to a camera process that failed, because it died or its memory cannot be mapped.
+    pub n_connection_failures: u64,
     /// Acknowledgements that could not be sent.
     pub n_ack_failures: u64,
 }

@@ -3,19 +3,22 @@
 use std::time::{Duration, Instant};
 
 use iceoryx2::identifiers::UniquePublisherId;
-use iceoryx2::port::{listener::Listener, notifier::Notifier, publisher::Publisher, subscriber::Subscriber};
+use iceoryx2::port::{ReceiveError, listener::Listener, subscriber::Subscriber};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use kilogs_camera::ipc::{
-    self, Ack, FrameHeader, FramePage, FrameService, FrameSlots, HeaderVerdict, Ipc, IpcError, IpcNode, PreviousFrame,
-    ServiceFormat, ack_name, frames_name,
+    self, FrameHeader, FramePage, FrameService, FrameSlots, HeaderVerdict, Ipc, IpcError, IpcNode, PreviousFrame,
+    ServiceFormat, frames_name,
 };
 use kilogs_core::conventions::TimestampNs;
 use kilogs_core::frame::{ImageTooShort, ImageView, PixelFormat};
 use zerocopy::IntoBytes;
 
-use super::watch::CameraWatch;
+use super::camera_link::CameraLink;
 use super::{CameraState, InputCounts, InputError};
+
+/// A waiting input looks at least this often whether the camera is there, should an event have been lost.
+const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
 /// What a frame input listens to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,10 +38,10 @@ pub enum InputEvent<'input> {
     Frame(BorrowedFrame<'input>),
     /// This message cannot be used. It was counted and acknowledged.
     Refused(HeaderVerdict),
-    /// A camera process is there: the first, or (with the restarts so far) one in the place of another.
+    /// A camera process is there; its frames follow.
     CameraCame {
-        /// How many came before it.
-        n_restarts: u32,
+        /// Whether none came before it.
+        is_first: bool,
     },
     /// The camera process died or left without ending the stream. Another one may come.
     CameraGone {
@@ -60,16 +63,16 @@ pub struct FrameInput {
     state: CameraState,
     counts: InputCounts,
     session: Option<Session>,
+    /// Camera processes at the last look. Reading their number is free; asking who they are allocates.
+    n_cameras: usize,
     /// Acknowledged with the next wait, so that the camera process outlives the event that tells of its end.
     unacknowledged_end: Option<u64>,
     last_frame: Option<LastFrame>,
     opened: Instant,
     subscriber: Subscriber<Ipc, [FramePage], FrameHeader>,
     listener: Listener<Ipc>,
-    ack_publisher: Publisher<Ipc, Ack, ()>,
-    wake_camera: Notifier<Ipc>,
     frames: FrameService,
-    _watch: CameraWatch,
+    link: CameraLink,
     _node: IpcNode,
 }
 
@@ -118,26 +121,22 @@ impl FrameInput {
         let frame_events = ipc::open_events(&node, &frames_name(service))?;
         let listener = frame_events.listener_builder().create().map_err(|e| failed(&e))?;
         let subscriber = frames.subscriber_builder().create().map_err(|e| failed(&e))?;
-        let ack_events = ipc::open_events(&node, &ack_name(service))?;
-        let acks = ipc::open_acks(&node, service)?;
-        let ack_publisher = acks.publisher_builder().create().map_err(|e| failed(&e))?;
         // Last, because it wakes a waiting camera, which then sends.
-        let wake_camera = ack_events.notifier_builder().create().map_err(|e| failed(&e))?;
+        let link = CameraLink::start(service)?;
         Ok(Self {
             service: service.to_owned(),
             format: settings.format,
             state: CameraState::NeverCame,
             counts: InputCounts::default(),
             session: None,
+            n_cameras: 0,
             unacknowledged_end: None,
             last_frame: None,
             opened: Instant::now(),
             subscriber,
             listener,
-            ack_publisher,
-            wake_camera,
             frames,
-            _watch: CameraWatch::start(service)?,
+            link,
             _node: node,
         })
     }
@@ -149,14 +148,17 @@ impl FrameInput {
     pub fn wait(&mut self, timeout: Duration) -> Result<InputEvent<'_>, InputError> {
         let started = Instant::now();
         if let Some(sequence) = self.unacknowledged_end.take() {
-            self.acknowledge(sequence);
+            self.link.acknowledge(sequence);
         }
         loop {
-            // Before looking whether the camera is gone: what it sent still counts.
+            // A camera comes before its first frame and goes after its last.
+            if let Some(event) = self.note_coming() {
+                return Ok(event);
+            }
             if let Some(sample) = self.receive()? {
                 return Ok(self.take(sample));
             }
-            if let Some(event) = self.note_coming_and_going() {
+            if let Some(event) = self.note_going() {
                 return Ok(event);
             }
             let left = timeout.saturating_sub(started.elapsed());
@@ -167,7 +169,7 @@ impl FrameInput {
                 return Ok(InputEvent::Timeout(self.state));
             }
             // An interrupted wait is a reason to look again, as an event is.
-            if self.listener.timed_wait(|_| (), left).is_err() {
+            if self.listener.timed_wait(|_| (), left.min(LOOK_INTERVAL)).is_err() {
                 std::thread::yield_now();
             }
         }
@@ -175,7 +177,7 @@ impl FrameInput {
 
     /// What came in so far.
     pub fn counts(&self) -> InputCounts {
-        self.counts
+        InputCounts { n_ack_failures: self.link.n_failures(), ..self.counts }
     }
 
     /// How the camera process is, as of the last wait.
@@ -216,9 +218,17 @@ impl FrameInput {
         slots.shared_bytes(frame_bytes)
     }
 
-    fn receive(&self) -> Result<Option<Sample<Ipc, [FramePage], FrameHeader>>, IpcError> {
+    fn receive(&mut self) -> Result<Option<Sample<Ipc, [FramePage], FrameHeader>>, IpcError> {
         let advice = "check the space in /dev/shm, and start camera and tracker anew";
-        self.subscriber.receive().map_err(|e| IpcError::new("receiving a frame from", &self.service, e, advice))
+        match self.subscriber.receive() {
+            Ok(sample) => Ok(sample),
+            // A camera process that dies while it is being connected to; the link clears it away.
+            Err(ReceiveError::ConnectionFailure(_)) => {
+                self.counts.n_connection_failures += 1;
+                Ok(None)
+            }
+            Err(e) => Err(IpcError::new("receiving a frame from", &self.service, e, advice)),
+        }
     }
 
     fn take(&mut self, sample: Sample<Ipc, [FramePage], FrameHeader>) -> InputEvent<'_> {
@@ -231,7 +241,7 @@ impl FrameInput {
             Judged::End => InputEvent::End,
             Judged::Refused(verdict) => {
                 self.counts.n_refused += 1;
-                self.acknowledge(header.sequence);
+                self.link.acknowledge(header.sequence);
                 InputEvent::Refused(verdict)
             }
         }
@@ -246,14 +256,14 @@ impl FrameInput {
                 self.state = CameraState::Sending;
                 self.last_frame = Some(LastFrame { timestamp_ns, arrived: Instant::now() });
                 self.counts.n_received += 1;
-                self.counts.n_missing += n_missing;
+                self.counts.n_missing = self.counts.n_missing.saturating_add(n_missing);
                 session.previous = Some(PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns });
                 Judged::Frame { pixel_format, timestamp_ns }
             }
             HeaderVerdict::End { n_missing } => {
                 session.has_ended = true;
                 self.state = CameraState::Ended;
-                self.counts.n_missing += n_missing;
+                self.counts.n_missing = self.counts.n_missing.saturating_add(n_missing);
                 self.unacknowledged_end = Some(header.sequence);
                 Judged::End
             }
@@ -291,46 +301,47 @@ impl FrameInput {
             && timestamp_ns <= last.timestamp_ns
         {
             let passed_ns = last.arrived.elapsed().as_nanos().max(1) as u64;
-            session.time_shift_ns = last.timestamp_ns + passed_ns - timestamp_ns;
+            session.time_shift_ns = last.timestamp_ns.saturating_add(passed_ns) - timestamp_ns;
         }
-        timestamp_ns + session.time_shift_ns
+        timestamp_ns.saturating_add(session.time_shift_ns)
     }
 
-    fn note_coming_and_going(&mut self) -> Option<InputEvent<'static>> {
-        let is_there = match self.session {
-            Some(session) if !session.has_ended => self.is_alive(session.camera),
-            _ => self.frames.dynamic_config().number_of_publishers() > 0,
-        };
-        match (self.state, is_there) {
-            (CameraState::NeverCame | CameraState::Gone, true) => {
-                self.state = CameraState::Silent;
-                let n_restarts = self.counts.n_restarts;
-                Some(InputEvent::CameraCame { n_restarts })
-            }
-            (CameraState::Sending | CameraState::Silent, false) => {
-                self.state = CameraState::Gone;
-                Some(InputEvent::CameraGone { silent_for: self.silent_for() })
-            }
-            _ => None,
+    fn note_coming(&mut self) -> Option<InputEvent<'static>> {
+        let n_cameras = self.frames.dynamic_config().number_of_publishers();
+        if n_cameras == 0 || !matches!(self.state, CameraState::NeverCame | CameraState::Gone) {
+            return None;
         }
+        (self.state, self.n_cameras) = (CameraState::Silent, n_cameras);
+        Some(InputEvent::CameraCame { is_first: self.session.is_none() })
+    }
+
+    fn note_going(&mut self) -> Option<InputEvent<'static>> {
+        let n_cameras = self.frames.dynamic_config().number_of_publishers();
+        let is_unchanged = n_cameras > 0 && n_cameras == self.n_cameras;
+        if is_unchanged || !matches!(self.state, CameraState::Sending | CameraState::Silent) {
+            return None;
+        }
+        self.n_cameras = n_cameras;
+        let is_there = match self.session {
+            Some(session) if self.state == CameraState::Sending => self.is_alive(session.camera),
+            _ => n_cameras > 0,
+        };
+        if is_there {
+            return None;
+        }
+        self.state = CameraState::Gone;
+        Some(InputEvent::CameraGone { silent_for: self.silent_for() })
     }
 
     fn silent_for(&self) -> Duration {
         self.last_frame.map_or(self.opened, |frame| frame.arrived).elapsed()
-    }
-
-    fn acknowledge(&mut self, sequence: u64) {
-        let is_sent = self.ack_publisher.send_copy(Ack { sequence }).is_ok();
-        if !(is_sent && self.wake_camera.notify().is_ok()) {
-            self.counts.n_ack_failures += 1;
-        }
     }
 }
 
 impl Drop for FrameInput {
     fn drop(&mut self) {
         if let Some(sequence) = self.unacknowledged_end.take() {
-            self.acknowledge(sequence);
+            self.link.acknowledge(sequence);
         }
     }
 }
@@ -377,7 +388,7 @@ impl BorrowedFrame<'_> {
 impl Drop for BorrowedFrame<'_> {
     fn drop(&mut self) {
         let sequence = self.header().sequence;
-        self.input.acknowledge(sequence);
+        self.input.link.acknowledge(sequence);
     }
 }
 

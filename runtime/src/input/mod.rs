@@ -1,10 +1,10 @@
 //! Where frames come in: the camera service, read in place, and the camera child of a replay.
 
 mod camera_child;
+mod camera_link;
 mod counts;
 mod frame_input;
 mod mapping;
-mod watch;
 
 pub use camera_child::CameraChild;
 pub use counts::{CameraState, InputCounts};
@@ -26,7 +26,7 @@ pub enum InputError {
         /// What the system answered.
         source: std::io::Error,
     },
-    /// The thread that watches over the camera process could not be started.
-    #[error("starting the thread that watches the camera process: {0}; are there too many processes?")]
-    Watch(std::io::Error),
+    /// The thread that acknowledges frames could not be started.
+    #[error("starting the thread that acknowledges frames: {0}; are there too many processes?")]
+    Thread(std::io::Error),
 }

@@ -1,4 +1,4 @@
-//! Odometry per frame and health per second, for whoever listens.
+//! Odometry per frame and health per second, for whoever listens; published by the telemetry thread.
 
 use std::fmt::Debug;
 
@@ -15,7 +15,9 @@ pub type OdometryPublisher = MessagePublisher<OdometryMessage>;
 /// Publishes [`HealthMessage`]s at [`HEALTH_SERVICE`].
 pub type HealthPublisher = MessagePublisher<HealthMessage>;
 
-/// Publishes small messages; the oldest of a slow reader are overwritten. Publishing does not allocate.
+/// Publishes small messages; the oldest of a slow reader are overwritten.
+///
+/// iceoryx2 takes two small blocks from the heap per message: publish from a thread that is not sealed.
 pub struct MessagePublisher<Message: Debug + ZeroCopySend + Copy + 'static> {
     name: &'static str,
     publisher: Publisher<Ipc, Message, ()>,

@@ -102,6 +102,9 @@ pub struct PublishArgs {
     /// Wait this many seconds for a tracker before the first frame [default: 30; with --live: do not wait].
     #[arg(long, value_name = "S", value_parser = parse_seconds)]
     pub wait_for_tracker: Option<f64>,
+    /// With --live: end when the tracker does, instead of playing on for the next one.
+    #[arg(long, requires = "live")]
+    pub end_with_tracker: bool,
     /// Which camera of the vehicle.
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub camera_id: u32,
@@ -155,6 +158,7 @@ impl PublishArgs {
             service: self.service.clone(),
             pace,
             tracker_patience: patience_s.map(Duration::from_secs_f64),
+            ends_with_tracker: self.end_with_tracker,
             slots: FrameSlots::DEFAULT,
             camera_id: self.camera_id,
         }

@@ -41,6 +41,8 @@ pub struct PublishSettings {
     pub pace: Pace,
     /// How long to wait for a tracker before the first frame; `None` does not wait and goes on without one.
     pub tracker_patience: Option<Duration>,
+    /// Whether a live run ends when its tracker does; one in lock-step always does.
+    pub ends_with_tracker: bool,
     /// Slots, where the tracker has not created the service before.
     pub slots: FrameSlots,
     /// Which camera of the vehicle.
@@ -128,10 +130,13 @@ pub fn publish(
             Pace::LockStep => outlet.wait_for_last_ack(stop)?,
             Pace::Live { rate } => clock.wait_until(frame.timestamp_ns, rate, stop),
         };
+        if settings.ends_with_tracker && !outlet.has_tracker() {
+            return Err(PublishError::TrackerGone { service: settings.service.clone(), sequence });
+        }
         if !goes_on {
             break;
         }
-        outlet.send(sample, sequence, frame)?;
+        outlet.send(sample, sequence, frame, settings.pace)?;
         progress(sequence);
         report.n_sent += 1;
         sequence += 1;
@@ -234,11 +239,18 @@ impl Outlet {
             .map_err(|e| self.broken("taking a frame slot of", e))
     }
 
-    fn send(&mut self, sample: FrameSample, sequence: u64, frame: FrameInfo) -> Result<(), IpcError> {
+    fn send(&mut self, sample: FrameSample, sequence: u64, frame: FrameInfo, pace: Pace) -> Result<(), IpcError> {
         let header =
             FrameHeader { sequence, timestamp_ns: frame.timestamp_ns, exposure_us: frame.exposure_us, ..self.header };
         self.last_sent = Some(frame);
-        self.send_with(sample, header)
+        match (self.send_with(sample, header), pace) {
+            // A live camera goes on when a reader dies while it is being connected to.
+            (Err(problem), Pace::Live { .. }) => {
+                log::warn!("{problem}");
+                Ok(())
+            }
+            (result, _) => result,
+        }
     }
 
     fn send_with(&mut self, mut sample: FrameSample, header: FrameHeader) -> Result<(), IpcError> {
@@ -280,9 +292,10 @@ impl Outlet {
         while let Some(ack) =
             self.ack_subscriber.receive().map_err(|e| self.broken("reading acknowledgements at", e))?
         {
-            self.last_acked = self.last_acked.max(Some(ack.sequence));
+            self.last_acked = Some(ack.sequence);
         }
-        Ok(self.last_acked < self.last_sent_sequence)
+        // Equality, not order: a late word for a camera process before this one must not pass for our own.
+        Ok(self.last_acked != self.last_sent_sequence)
     }
 
     /// Whether someone acknowledges. A tracker that was killed is cleared away here.

@@ -2,7 +2,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 use kilogs_core::conventions::TimestampNs;
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
 /// Bytes of one page of pixels.
 pub const PAGE_BYTES: usize = 4096;
@@ -92,8 +92,20 @@ pub struct OdometryMessage {
     pub covariance: [f64; 36],
 }
 
+/// Nothing known: all numbers 0, both transforms the identity.
+impl Default for OdometryMessage {
+    fn default() -> Self {
+        Self {
+            odometry_from_camera_xyzw: [0.0, 0.0, 0.0, 1.0],
+            map_from_odometry_xyzw: [0.0, 0.0, 0.0, 1.0],
+            map_from_odometry_scale: 1.0,
+            ..Self::new_zeroed()
+        }
+    }
+}
+
 /// How the program is, per second.
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 #[type_name("KilogsHealth1")]
 pub struct HealthMessage {

@@ -1,0 +1,119 @@
+//! Every bad header is refused, counted, told and acknowledged, and the next good frame still gets through.
+
+use std::time::Duration;
+
+use iceoryx2::port::{notifier::Notifier, publisher::Publisher};
+use kilogs::input::{
+    FrameInput, FrameSlots, HeaderVerdict, InputEvent, InputSettings, ServiceFormat, unique_service_name,
+};
+use kilogs_camera::ipc::{
+    FrameHeader, FramePage, FrameService, Ipc, IpcNode, create_node, frames_name, open_events, open_frames,
+};
+use kilogs_core::frame::PixelFormat;
+
+const PATIENCE: Duration = Duration::from_secs(30);
+const SIZE: [u32; 2] = [48, 32];
+
+/// A camera that sends whatever it is told to.
+struct Rogue {
+    publisher: Publisher<Ipc, [FramePage], FrameHeader>,
+    notifier: Notifier<Ipc>,
+    _frames: FrameService,
+    _node: IpcNode,
+}
+
+impl Rogue {
+    fn new(service: &str) -> Self {
+        let node = create_node(service).expect("a node");
+        let frames = open_frames(&node, service, &FrameSlots::DEFAULT).expect("a service");
+        let publisher = frames.publisher_builder().initial_max_slice_len(2).create().expect("a publisher");
+        let events = open_events(&node, &frames_name(service)).expect("events");
+        let notifier = events.notifier_builder().create().expect("a notifier");
+        Self { publisher, notifier, _frames: frames, _node: node }
+    }
+
+    fn send(&self, header: FrameHeader) {
+        let mut sample = self.publisher.loan_slice(1).expect("a slot");
+        *sample.user_header_mut() = header;
+        sample.send().expect("a reader");
+        self.notifier.notify().expect("a listener");
+    }
+}
+
+fn open(purpose: &str) -> (FrameInput, String) {
+    let service = unique_service_name(purpose);
+    let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: Some(PixelFormat::Mono8) };
+    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT };
+    (FrameInput::open(&settings).expect("shared memory"), service)
+}
+
+/// The next event that is about a frame: its sequence number, or why it was refused.
+fn next(input: &mut FrameInput) -> Result<u64, HeaderVerdict> {
+    loop {
+        match input.wait(PATIENCE).expect("shared memory") {
+            InputEvent::Frame(frame) => return Ok(frame.header().sequence),
+            InputEvent::Refused(verdict) => return Err(verdict),
+            InputEvent::CameraCame { .. } => (),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn each_bad_header_is_refused_and_the_next_good_frame_is_taken() {
+    let (mut input, service) = open("headers");
+    let rogue = Rogue::new(&service);
+    let (mut sequence, mut n_refused) = (0, 0);
+    let mut check = |spoil: &dyn Fn(&mut FrameHeader), is_expected: &dyn Fn(&HeaderVerdict) -> bool| {
+        let good = FrameHeader::packed(sequence, 1000 + sequence, SIZE, PixelFormat::Mono8);
+        rogue.send(good);
+        assert_eq!(next(&mut input), Ok(sequence));
+        let mut bad = FrameHeader { sequence: sequence + 1, timestamp_ns: 1001 + sequence, ..good };
+        spoil(&mut bad);
+        rogue.send(bad);
+        let verdict = next(&mut input).expect_err("a refusal");
+        assert!(is_expected(&verdict), "{verdict}");
+        sequence += 2;
+        n_refused += 1;
+        let counts = input.counts();
+        assert_eq!((counts.n_received, counts.n_refused), (n_refused, n_refused));
+    };
+    check(&|h| h.magic = 1, &|v| matches!(v, HeaderVerdict::BadMagic { found: 1 }));
+    check(&|h| h.version = 9, &|v| matches!(v, HeaderVerdict::BadVersion { found: 9 }));
+    check(&|h| h.pixel_format = 99, &|v| matches!(v, HeaderVerdict::UnknownFormat { found: 99 }));
+    check(&|h| h.pixel_format = 6, &|v| matches!(v, HeaderVerdict::OtherFormat { found: PixelFormat::BayerRggb8, .. }));
+    check(&|h| h.width = 49, &|v| matches!(v, HeaderVerdict::WrongSize { found: [49, 32], .. }));
+    check(&|h| h.payload_bytes = 10, &|v| matches!(v, HeaderVerdict::DoesNotFit { needed_bytes: 1536, .. }));
+    check(&|h| h.payload_bytes = 5000, &|v| matches!(v, HeaderVerdict::DoesNotFit { sent_bytes: 4096, .. }));
+    check(&|h| h.stride_bytes = 400, &|v| matches!(v, HeaderVerdict::DoesNotFit { needed_bytes: 12800, .. }));
+    check(&|h| h.timestamp_ns = 5, &|v| matches!(v, HeaderVerdict::TimeBackwards { found_ns: 5, .. }));
+    check(&|h| h.sequence = 1, &|v| matches!(v, HeaderVerdict::SequenceBackwards { found: 1, .. }));
+}
+
+#[test]
+fn a_second_camera_under_the_same_name_is_refused_while_the_first_lives() {
+    let (mut input, service) = open("second");
+    let first = Rogue::new(&service);
+    let second = Rogue::new(&service);
+    let frame = |sequence| FrameHeader::packed(sequence, 10 + sequence, SIZE, PixelFormat::Mono8);
+    first.send(frame(5));
+    assert_eq!(next(&mut input), Ok(5));
+    second.send(frame(6));
+    assert_eq!(next(&mut input), Err(HeaderVerdict::SecondCamera));
+    first.send(frame(6));
+    assert_eq!(next(&mut input), Ok(6));
+    drop(first);
+    second.send(frame(0));
+    loop {
+        match input.wait(PATIENCE).expect("shared memory") {
+            InputEvent::Frame(frame) => {
+                assert_eq!(frame.header().sequence, 0);
+                assert!(frame.timestamp_ns() > 16, "time goes on after the first camera's");
+                break;
+            }
+            InputEvent::CameraGone { .. } | InputEvent::CameraCame { .. } => (),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(input.counts().n_restarts, 1);
+}
