@@ -11,6 +11,7 @@ pub mod pool;
 pub mod input;
 pub mod output;
 pub mod splat;
+pub mod mapping;
 pub mod map_store;
 pub mod export;
 pub mod render_views;

@@ -14,7 +14,7 @@ pub use background::{
     BACKGROUND_COLUMNS, BACKGROUND_MAX_ELEVATION_RAD, BACKGROUND_MIN_ELEVATION_RAD, BACKGROUND_ROWS, BACKGROUND_TEXELS,
     background_texel_direction,
 };
-pub use capacity::{Capacities, CapacityError, MemoryRow};
+pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRow};
 pub use kilogs_core::map::{AnchorHeader, GaussianParams};
 pub use training::{
     DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, StepReport, StepSettings, TargetImage,

@@ -1,0 +1,57 @@
+//! How large a mapper is: fixed before it starts.
+
+use kilogs_core::camera::Pinhole;
+use kilogs_core::map::depth::aggregate;
+use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
+use kilogs_core::map::depth::sweep::N_LABELS;
+use kilogs_core::map::pool::AnchorSlot;
+use kilogs_core::map::voxel::VoxelCell;
+
+/// Sizes fixed at construction; a mapper's memory follows from them alone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MapperCapacity {
+    /// Anchors that live at once; must be what the splat backend holds.
+    pub anchors: usize,
+    /// Gaussians of an anchor; must be what the splat backend holds.
+    pub gaussians_per_anchor: usize,
+    /// Cells of the voxel grid, at least four thirds of the anchors.
+    pub voxels: usize,
+    /// Keyframe images kept for training.
+    pub images: usize,
+    /// Anchors that one keyframe may spawn.
+    pub new_anchors: usize,
+    /// Rows of the backend's keyframe table; a row is used again after so many keyframes.
+    pub keyframe_rows: usize,
+    /// Rows of the backend's chunk table.
+    pub chunk_rows: usize,
+}
+
+impl MapperCapacity {
+    /// The capacities that the shipped plan for 1241x376 in 512 MiB has.
+    pub const KITTI: Self = Self {
+        anchors: 65_536,
+        gaussians_per_anchor: 4,
+        voxels: 131_072,
+        images: 48,
+        new_anchors: 8192,
+        keyframe_rows: 512,
+        chunk_rows: 4,
+    };
+
+    /// Bytes of the mapper without its backend, for a mapping camera and one or three bytes per pixel.
+    pub fn bytes(&self, camera: &Pinhole, bytes_per_pixel: usize) -> usize {
+        let n_pixels = camera.width as usize * camera.height as usize;
+        let half_pixels = (camera.width as usize / 2) * (camera.height as usize / 2);
+        let metadata =
+            self.anchors * (size_of::<AnchorSlot>() + size_of::<u32>()) + self.voxels * size_of::<VoxelCell>();
+        let images = self.images * n_pixels * (bytes_per_pixel + 1);
+        let stereo = half_pixels * (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2 + 12)
+            + aggregate::scratch_len(camera.width as usize / 2) * size_of::<u16>();
+        // Color, depth, transmittance, luma, two structures, two edges, probability, inverse depth, confidence, blur.
+        let insertion = n_pixels * (12 + 11 * size_of::<f32>() + 1);
+        let gaussian = size_of::<kilogs_core::map::GaussianParams>();
+        let staged = self.new_anchors
+            * (self.gaussians_per_anchor * gaussian + size_of::<kilogs_core::map::AnchorHeader>() + size_of::<u32>());
+        metadata + images + stereo + insertion + staged
+    }
+}

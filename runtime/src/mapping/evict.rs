@@ -1,0 +1,284 @@
+//! What leaves memory: faint Gaussians when their keyframe leaves the window, pages when the vehicle is far away.
+
+use super::mapper::{CHUNK_KEYFRAMES, KeyframePacket, Mapper};
+use super::scratch::{NO_GAUSSIAN, NO_HEADER, Staging};
+use super::sink::PageSink;
+use crate::splat::{BACKGROUND_COLUMNS, GaussianParams};
+use kilogs_core::conventions::Rigid;
+use kilogs_core::map::AnchorHeader;
+use kilogs_core::store::{ChunkBackground, ChunkLabel, PageLabel, StoredAnchor};
+use nalgebra::Vector3;
+
+/// Consecutive keyframes whose anchors leave together.
+pub const PAGE_KEYFRAMES: u32 = 10;
+/// Groups of keyframes that can be resident; beyond, the oldest leaves whatever its distance.
+const MAX_GROUPS: usize = 128;
+/// Share of the anchor pool above which the oldest group leaves whatever its distance.
+const HIGH_WATER: f64 = 0.85;
+
+/// Keyframes that leave together, and where they are.
+#[derive(Debug, Clone, Copy)]
+struct PageGroup {
+    group: u32,
+    positions_m: [Vector3<f64>; PAGE_KEYFRAMES as usize],
+    n_keyframes: usize,
+    last_ordinal: u32,
+}
+
+/// The resident groups, oldest first.
+#[derive(Debug, Default)]
+pub struct PageGroups {
+    groups: heapless::Deque<PageGroup, MAX_GROUPS>,
+    next_page_id: u32,
+    building_chunk: Option<u32>,
+    /// A chunk that is complete and waits for the sink.
+    chunk_due: Option<u32>,
+}
+
+impl PageGroups {
+    /// Notes where a keyframe is.
+    pub fn note(&mut self, ordinal: u32, world_from_camera: &Rigid) {
+        let group = ordinal / PAGE_KEYFRAMES;
+        if self.groups.back().is_none_or(|newest| newest.group != group) {
+            let fresh = PageGroup {
+                group,
+                positions_m: [Vector3::zeros(); PAGE_KEYFRAMES as usize],
+                n_keyframes: 0,
+                last_ordinal: ordinal,
+            };
+            // Eviction keeps at least one place free.
+            let _ = self.groups.push_back(fresh);
+        }
+        if let Some(newest) = self.groups.back_mut().filter(|newest| newest.group == group) {
+            if let Some(place) = newest.positions_m.get_mut(newest.n_keyframes) {
+                *place = world_from_camera.translation.vector;
+                newest.n_keyframes += 1;
+            }
+            newest.last_ordinal = ordinal;
+        }
+    }
+
+    /// Whether the anchors of a keyframe are still resident.
+    pub fn holds(&self, ordinal: u32) -> bool {
+        self.groups.iter().any(|group| group.group == ordinal / PAGE_KEYFRAMES)
+    }
+}
+
+impl PageGroup {
+    fn distance_m(&self, position_m: &Vector3<f64>) -> f64 {
+        let nearest = |m: f64, p: &Vector3<f64>| m.min((p - position_m).norm());
+        self.positions_m.iter().take(self.n_keyframes).fold(f64::INFINITY, nearest)
+    }
+}
+
+impl Mapper {
+    /// Hands over groups that are far away, and the oldest ones while memory is short.
+    pub(super) fn evict_far_pages(&mut self, packet: &KeyframePacket<'_>, sink: &mut dyn PageSink) {
+        let position_m = packet.world_from_camera.translation.vector;
+        let chunk = packet.ordinal / CHUNK_KEYFRAMES;
+        let previous = self.groups.building_chunk.replace(chunk);
+        if let Some(previous) = previous.filter(|&previous| previous != chunk) {
+            self.groups.chunk_due = Some(previous);
+        }
+        if let Some(due) = self.groups.chunk_due
+            && self.write_chunk(due, sink)
+        {
+            self.groups.chunk_due = None;
+        }
+        let newest_safe = packet.ordinal.saturating_sub(self.settings.window as u32);
+        loop {
+            let Some(oldest) = self.groups.groups.front().copied() else { return };
+            let is_full = f64::from(self.pool.n_live()) > HIGH_WATER * self.capacity.anchors as f64
+                || self.groups.groups.len() + 1 >= MAX_GROUPS;
+            let is_far = oldest.distance_m(&position_m) > self.settings.page_distance_m;
+            if !(is_far || is_full) || oldest.last_ordinal >= newest_safe || !self.evict_group(oldest.group, sink) {
+                return;
+            }
+            self.groups.groups.pop_front();
+        }
+    }
+
+    /// Hands over every group and the chunk that is being built; false when the sink did not take everything.
+    pub(super) fn evict_everything(&mut self, sink: &mut dyn PageSink) -> bool {
+        while let Some(oldest) = self.groups.groups.front().copied() {
+            if !self.evict_group(oldest.group, sink) {
+                return false;
+            }
+            self.groups.groups.pop_front();
+        }
+        let due = [self.groups.chunk_due, self.groups.building_chunk];
+        let written = due.into_iter().flatten().all(|chunk| self.write_chunk(chunk, sink));
+        if written {
+            (self.groups.chunk_due, self.groups.building_chunk) = (None, None);
+        }
+        written
+    }
+
+    fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> bool {
+        let chunk_row = self.chunk_row(chunk * CHUNK_KEYFRAMES);
+        if !self.backend.read_background(chunk_row, &mut self.background) {
+            return false;
+        }
+        let label = ChunkLabel {
+            chunk_id: chunk,
+            first_keyframe_id: chunk * CHUNK_KEYFRAMES,
+            last_keyframe_id: chunk * CHUNK_KEYFRAMES + CHUNK_KEYFRAMES - 1,
+            revision: 0,
+        };
+        let background = ChunkBackground { width: BACKGROUND_COLUMNS as u32, texels: &self.background };
+        sink.write_chunk(label, background).is_ok()
+    }
+
+    /// Hands over one group, page by page; false when the sink is busy: what was handed over is gone, the rest stays.
+    fn evict_group(&mut self, group: u32, sink: &mut dyn PageSink) -> bool {
+        loop {
+            self.stage(|ordinal| ordinal / PAGE_KEYFRAMES == group);
+            if self.staging.slots.is_empty() {
+                return true;
+            }
+            let Staging { slots, headers, params, .. } = &mut self.staging;
+            self.backend.read_anchors(slots, headers, params);
+            let n_stored = self.write_page(group, sink);
+            if n_stored == 0 {
+                self.staging.clear();
+                return false;
+            }
+            self.forget(0..n_stored);
+            self.staging.clear();
+        }
+    }
+
+    /// Writes the staged anchors into one page, as many as fit; how many that were.
+    fn write_page(&mut self, group: u32, sink: &mut dyn PageSink) -> usize {
+        let label = PageLabel {
+            page_id: self.groups.next_page_id,
+            chunk_id: group * PAGE_KEYFRAMES / CHUNK_KEYFRAMES,
+            first_keyframe_id: group * PAGE_KEYFRAMES,
+            last_keyframe_id: group * PAGE_KEYFRAMES + PAGE_KEYFRAMES - 1,
+            n_anchors: 0,
+            n_gaussians: 0,
+            gaussians_per_anchor: self.capacity.gaussians_per_anchor as u32,
+            revision: 0,
+        };
+        let Ok(mut draft) = sink.begin_page(label) else { return 0 };
+        let mut n_stored = 0;
+        let staged = self.staging.slots.iter().zip(&self.staging.headers);
+        for ((&slot, header), gaussians) in
+            staged.zip(self.staging.params.chunks_exact(self.capacity.gaussians_per_anchor))
+        {
+            let record = self.pool.handle_at(slot).and_then(|handle| self.pool.get(handle).copied());
+            let Some(record) = record else { continue };
+            let anchor = StoredAnchor::from_header(header, record.keyframe_ordinal);
+            if draft.push(&anchor, gaussians).is_err() {
+                break;
+            }
+            n_stored += 1;
+        }
+        let written = draft.label();
+        if sink.commit_page(draft).is_err() {
+            return 0;
+        }
+        self.groups.next_page_id += 1;
+        self.counters.pages_written += 1;
+        self.counters.anchors_stored += u64::from(written.n_anchors);
+        self.counters.gaussians_stored += u64::from(written.n_gaussians);
+        n_stored
+    }
+
+    /// Stages the anchors of some keyframes in slot order, as many as fit, to be read from the backend.
+    fn stage(&mut self, belongs: impl Fn(u32) -> bool) {
+        self.staging.clear();
+        for (handle, record) in self.pool.iter() {
+            if self.staging.is_full() {
+                break;
+            }
+            if belongs(record.keyframe_ordinal) {
+                self.staging.push(handle.slot, NO_HEADER);
+            }
+        }
+    }
+
+    /// Ends staged anchors: they leave pool, grid and backend.
+    fn forget(&mut self, staged: std::ops::Range<usize>) {
+        let slots = &self.staging.slots[staged];
+        for &slot in slots {
+            let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.remove(handle)) else { continue };
+            if self.grid.get(record.voxel) == Some(slot) {
+                self.grid.remove(record.voxel);
+            }
+        }
+        self.backend.retire_anchors(slots);
+    }
+
+    /// Drops the faint and the oversized Gaussians of the keyframe that has just left the window.
+    pub(super) fn prune_after_window(&mut self) {
+        let Some(left) = self.images.newest(self.settings.window).map(|kept| kept.keyframe.ordinal) else { return };
+        let focal_px = self.images.camera().fx as f32;
+        let max_sigma_px = self.settings.max_width_ratio * self.images.camera().width as f32 / WIDTH_IN_SIGMAS;
+        let limits = PruneLimits {
+            min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
+            max_sigma_z1: max_sigma_px / focal_px,
+        };
+        self.stage(|ordinal| ordinal == left);
+        let Staging { slots, headers, params, .. } = &mut self.staging;
+        self.backend.read_anchors(slots, headers, params);
+        let k = self.capacity.gaussians_per_anchor;
+        // Anchors that lost all Gaussians go to the front, those that lost some behind them.
+        let mut n_ended = 0;
+        let mut n_changed = 0;
+        for nth in 0..slots.len() {
+            let before = headers[nth].n_gaussians;
+            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], &limits);
+            self.counters.gaussians_pruned += u64::from(before - after);
+            if after == before && after > 0 {
+                continue;
+            }
+            slots.swap(n_changed, nth);
+            headers.swap(n_changed, nth);
+            (0..k).for_each(|i| params.swap(n_changed * k + i, nth * k + i));
+            if after == 0 {
+                slots.swap(n_ended, n_changed);
+                headers.swap(n_ended, n_changed);
+                (0..k).for_each(|i| params.swap(n_ended * k + i, n_changed * k + i));
+                n_ended += 1;
+            }
+            n_changed += 1;
+        }
+        let changed = n_ended..n_changed;
+        self.backend.write_anchors(
+            &slots[changed.clone()],
+            &headers[changed.clone()],
+            &params[changed.start * k..changed.end * k],
+        );
+        self.forget(0..n_ended);
+        self.counters.anchors_pruned += n_ended as u64;
+        self.staging.clear();
+    }
+}
+
+/// A Gaussian is as wide as three standard deviations either way.
+const WIDTH_IN_SIGMAS: f32 = 6.0;
+
+struct PruneLimits {
+    min_opacity_logit: f32,
+    /// Largest standard deviation over depth, seen from the keyframe that spawned it.
+    max_sigma_z1: f32,
+}
+
+/// Moves the Gaussians worth keeping to the front; how many there are.
+fn keep_good(header: &mut AnchorHeader, gaussians: &mut [GaussianParams], limits: &PruneLimits) -> u8 {
+    let mut kept = 0;
+    for nth in 0..usize::from(header.n_gaussians) {
+        let gaussian = gaussians[nth];
+        let depth_m = header.position_in_keyframe_m[2] + gaussian.offset[2] * header.log_extent[2].exp();
+        let widest_m = (0..3).map(|i| (header.log_extent[i] + gaussian.log_scale[i]).exp()).fold(0.0, f32::max);
+        let is_wide = widest_m > limits.max_sigma_z1 * depth_m.abs();
+        if gaussian.opacity_logit >= limits.min_opacity_logit && !is_wide {
+            gaussians.swap(kept, nth);
+            kept += 1;
+        }
+    }
+    gaussians[kept..].fill(NO_GAUSSIAN);
+    header.n_gaussians = kept as u8;
+    kept as u8
+}

@@ -1,0 +1,239 @@
+//! The mapper: what it owns, and the order in which a keyframe passes through it.
+
+use super::capacity::MapperCapacity;
+use super::depth::{MotionStereo, SparseDepth};
+use super::evict::PageGroups;
+use super::images::{KeptKeyframe, KeyframeImages, MappingImage};
+use super::optimize::OptimizeReport;
+use super::scratch::{ImageScratch, Staging};
+use super::settings::MapperSettings;
+use super::shrink::mapping_camera;
+use super::sink::PageSink;
+use crate::map_store::is_held_out_frame;
+use crate::splat::{BACKGROUND_TEXELS, KeyframePlacement, SplatBackend};
+use kilogs_core::camera::Pinhole;
+use kilogs_core::conventions::{Rigid, TimestampNs};
+use kilogs_core::map::insertion::MapImageSize;
+use kilogs_core::map::pool::{AnchorPool, AnchorSlot};
+use kilogs_core::map::voxel::{VoxelCell, VoxelGrid};
+use kilogs_core::tracking::{KeyframePoint, RoadPlane};
+
+/// Keyframes of one chunk.
+pub const CHUNK_KEYFRAMES: u32 = 100;
+
+/// A keyframe with everything that mapping needs of it; borrowed for one call.
+#[derive(Debug, Clone, Copy)]
+pub struct KeyframePacket<'a> {
+    /// Ordinal among the keyframes, growing.
+    pub ordinal: u32,
+    /// Index of the frame in its stream.
+    pub frame_index: u64,
+    /// Middle of the exposure.
+    pub timestamp_ns: TimestampNs,
+    /// Where the camera was.
+    pub world_from_camera: Rigid,
+    /// What it saw, at native resolution.
+    pub image: MappingImage<'a>,
+    /// Triangulated tracks, in native pixels.
+    pub points: &'a [KeyframePoint],
+    /// The road, where it was seen.
+    pub road: Option<RoadPlane>,
+}
+
+/// A keyframe was not taken; the map is unchanged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PacketRefused {
+    /// Every eighth frame judges the map and must not make it: promote another one.
+    #[error("frame {frame_index} is held out and never used for mapping; promote the next frame")]
+    HeldOut {
+        /// Index of the frame.
+        frame_index: u64,
+    },
+    /// The image does not have the bytes or the format that the camera has.
+    #[error("the image of frame {frame_index} does not fit the mapper's camera; drop the frame")]
+    ImageDoesNotFit {
+        /// Index of the frame.
+        frame_index: u64,
+    },
+}
+
+/// What a keyframe brought into the map.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct InsertReport {
+    /// Pixels that asked for a Gaussian.
+    pub n_samples: u32,
+    /// Anchors that were created.
+    pub n_anchors: u32,
+    /// Gaussians that were created.
+    pub n_gaussians: u32,
+    /// Samples whose voxel was taken.
+    pub n_occupied: u32,
+    /// Samples for which there was no room (anchor pool, voxel grid or staging).
+    pub n_refused: u32,
+    /// Mean transmittance of the map before the insertion: how much was bare.
+    pub mean_transmittance: f32,
+    /// Whether depth came from motion stereo.
+    pub from_stereo: bool,
+}
+
+/// Counts over the whole run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MapCounters {
+    /// Keyframes taken.
+    pub keyframes: u64,
+    /// Anchors created.
+    pub anchors_total: u64,
+    /// Gaussians created.
+    pub gaussians_total: u64,
+    /// Samples refused because something was full.
+    pub refused: u64,
+    /// Largest number of anchors that lived at once.
+    pub anchors_resident_peak: u64,
+    /// Anchors that ended because all their Gaussians were faint or oversized.
+    pub anchors_pruned: u64,
+    /// Gaussians that ended so.
+    pub gaussians_pruned: u64,
+    /// Anchors handed to the sink.
+    pub anchors_stored: u64,
+    /// Gaussians handed to the sink.
+    pub gaussians_stored: u64,
+    /// Pages handed to the sink.
+    pub pages_written: u64,
+    /// Optimizer steps taken.
+    pub iterations: u64,
+}
+
+/// Builds the map; see the module.
+pub struct Mapper {
+    pub(super) settings: MapperSettings,
+    pub(super) capacity: MapperCapacity,
+    pub(super) backend: Box<dyn SplatBackend>,
+    pub(super) pool: AnchorPool<Box<[AnchorSlot]>>,
+    pub(super) grid: VoxelGrid<Box<[VoxelCell]>>,
+    pub(super) images: KeyframeImages,
+    pub(super) stereo: MotionStereo,
+    pub(super) sparse: SparseDepth,
+    pub(super) scratch: ImageScratch,
+    pub(super) staging: Staging,
+    pub(super) groups: PageGroups,
+    pub(super) background: Box<[[f32; 3]]>,
+    pub(super) background_of_chunk: Option<u32>,
+    pub(super) counters: MapCounters,
+}
+
+impl Mapper {
+    /// Allocates everything. `backend` must hold what `capacity` says; `channels` is 1 for grey cameras, else 3.
+    pub fn new(
+        settings: MapperSettings,
+        capacity: MapperCapacity,
+        native: &Pinhole,
+        channels: usize,
+        backend: Box<dyn SplatBackend>,
+    ) -> Self {
+        let camera = mapping_camera(native, settings.resolution);
+        let size = MapImageSize { width: camera.width as usize, height: camera.height as usize };
+        Self {
+            settings,
+            capacity,
+            backend,
+            pool: AnchorPool::new(vec![AnchorSlot::EMPTY; capacity.anchors].into()),
+            grid: VoxelGrid::new(vec![VoxelCell::EMPTY; capacity.voxels].into()),
+            images: KeyframeImages::new(*native, camera, channels, capacity.images),
+            stereo: MotionStereo::new(&camera),
+            sparse: SparseDepth,
+            scratch: ImageScratch::new(size, capacity.new_anchors * capacity.gaussians_per_anchor),
+            staging: Staging::new(capacity.new_anchors, capacity.anchors, capacity.gaussians_per_anchor),
+            groups: PageGroups::default(),
+            background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
+            background_of_chunk: None,
+            counters: MapCounters::default(),
+        }
+    }
+
+    /// Takes a keyframe: keeps its image, inserts what the map lacks, drops what is faint, hands over what is far.
+    ///
+    /// # Errors
+    /// [`PacketRefused`]; the map is unchanged.
+    pub fn insert_keyframe(
+        &mut self,
+        packet: &KeyframePacket<'_>,
+        sink: &mut dyn PageSink,
+    ) -> Result<InsertReport, PacketRefused> {
+        let frame_index = packet.frame_index;
+        if is_held_out_frame(frame_index) {
+            return Err(PacketRefused::HeldOut { frame_index });
+        }
+        let keyframe = KeptKeyframe { ordinal: packet.ordinal, world_from_camera: packet.world_from_camera };
+        if !self.images.push(keyframe, &packet.image) {
+            return Err(PacketRefused::ImageDoesNotFit { frame_index });
+        }
+        self.place(packet.ordinal, &packet.world_from_camera);
+        self.groups.note(packet.ordinal, &packet.world_from_camera);
+        self.prune_after_window();
+        self.evict_far_pages(packet, sink);
+        let mut report = InsertReport::default();
+        if self.counters.keyframes == 1 {
+            // The first keyframe had nobody to be compared with; now it has.
+            report = self.insert_from(1, &[0], &[], packet.road);
+        }
+        let newest = self.insert_from(0, &[1, 2, 3], packet.points, packet.road);
+        report = InsertReport {
+            n_samples: report.n_samples + newest.n_samples,
+            n_anchors: report.n_anchors + newest.n_anchors,
+            n_gaussians: report.n_gaussians + newest.n_gaussians,
+            n_occupied: report.n_occupied + newest.n_occupied,
+            n_refused: report.n_refused + newest.n_refused,
+            ..newest
+        };
+        self.count(&report);
+        Ok(report)
+    }
+
+    /// Takes `n_iterations` optimizer steps over the window and a few older keyframes.
+    pub fn optimize(&mut self, n_iterations: u32) -> OptimizeReport {
+        self.run_optimizer(n_iterations)
+    }
+
+    /// Hands over everything that is resident; false when the sink did not take all of it (come again).
+    pub fn finish(&mut self, sink: &mut dyn PageSink) -> bool {
+        self.evict_everything(sink)
+    }
+
+    /// Counts over the whole run.
+    pub fn counters(&self) -> MapCounters {
+        self.counters
+    }
+
+    /// Anchors that live now.
+    pub fn n_resident_anchors(&self) -> u32 {
+        self.pool.n_live()
+    }
+
+    /// Row of a keyframe in the backend's table.
+    pub(super) fn keyframe_row(&self, ordinal: u32) -> u32 {
+        ordinal % self.capacity.keyframe_rows as u32
+    }
+
+    /// Row of a keyframe's chunk in the backend's table.
+    pub(super) fn chunk_row(&self, ordinal: u32) -> u16 {
+        ((ordinal / CHUNK_KEYFRAMES) as usize % self.capacity.chunk_rows) as u16
+    }
+
+    fn place(&mut self, ordinal: u32, world_from_camera: &Rigid) {
+        let placement = KeyframePlacement {
+            rotation: world_from_camera.rotation,
+            translation_m: world_from_camera.translation.vector,
+            scale: 1.0,
+        };
+        self.backend.set_keyframes(self.keyframe_row(ordinal), &[placement]);
+    }
+
+    fn count(&mut self, report: &InsertReport) {
+        let counters = &mut self.counters;
+        counters.keyframes += 1;
+        counters.anchors_total += u64::from(report.n_anchors);
+        counters.gaussians_total += u64::from(report.n_gaussians);
+        counters.refused += u64::from(report.n_refused);
+        counters.anchors_resident_peak = counters.anchors_resident_peak.max(u64::from(self.pool.n_live()));
+    }
+}

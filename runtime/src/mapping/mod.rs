@@ -1,0 +1,27 @@
+//! From posed keyframes to a map of Gaussians: insertion, optimisation, pages that leave.
+//!
+//! The [`Mapper`] allocates at construction and never again. It holds the anchors near the vehicle; those of a
+//! keyframe that is far behind leave as pages through a [`PageSink`], and a [`MapViewer`] brings them back to look
+//! at the finished map.
+
+mod capacity;
+mod depth;
+mod evict;
+mod images;
+mod insert;
+mod mapper;
+mod optimize;
+mod scratch;
+mod settings;
+mod shrink;
+mod sink;
+mod viewer;
+
+pub use capacity::MapperCapacity;
+pub use images::MappingImage;
+pub use mapper::{InsertReport, KeyframePacket, MapCounters, Mapper, PacketRefused};
+pub use optimize::OptimizeReport;
+pub use settings::MapperSettings;
+pub use shrink::mapping_camera;
+pub use sink::PageSink;
+pub use viewer::{MapViewer, Viewed, ViewerError};

@@ -1,0 +1,65 @@
+//! What decides how a map is built.
+
+use crate::splat::StepSettings;
+use kilogs_core::map::depth::motion_stereo::StereoSettings;
+use kilogs_core::map::depth::sparse::SparseSettings;
+use kilogs_core::map::insertion::InsertionSettings;
+use kilogs_core::map::spawn::SpawnSettings;
+
+/// Everything of the mapper that changes results and is not a capacity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapperSettings {
+    /// Seed of the run.
+    pub seed: u64,
+    /// Size of the training images relative to the camera's, (0, 1].
+    pub resolution: f64,
+    /// Where Gaussians are inserted.
+    pub insertion: InsertionSettings,
+    /// First values of a Gaussian.
+    pub spawn: SpawnSettings,
+    /// Depth from earlier keyframes.
+    pub stereo: StereoSettings,
+    /// Depth from triangulated points, where there is no earlier keyframe.
+    pub sparse: SparseSettings,
+    /// Depth that is less sure than this is not inserted, [0, 1].
+    pub min_confidence: f32,
+    /// Keyframes that are trained together, at least 1. Peers: 4 to 8.
+    pub window: usize,
+    /// Older keyframes that are trained beside them. Peers: 2.
+    pub older_views: usize,
+    /// Share of the steps that the newest keyframe gets, [0, 1].
+    pub newest_share: f32,
+    /// Share of the steps that older keyframes get, [0, 1].
+    pub older_share: f32,
+    /// How an optimizer step is taken.
+    pub step: StepSettings,
+    /// A page leaves when all its keyframes are farther away than this, m.
+    pub page_distance_m: f64,
+    /// Gaussians fainter than this are dropped when their keyframe leaves the window, [0, 1]. Peers: 0.05.
+    pub min_opacity: f32,
+    /// Gaussians wider than this share of the image are dropped then, (0, 1]. Peers: half.
+    pub max_width_ratio: f32,
+}
+
+impl MapperSettings {
+    /// The values that the shipped maps were measured with.
+    pub fn measured(seed: u64, resolution: f64) -> Self {
+        Self {
+            seed,
+            resolution,
+            insertion: InsertionSettings::MEASURED,
+            spawn: SpawnSettings::MEASURED,
+            stereo: StereoSettings::MEASURED,
+            sparse: SparseSettings::MEASURED,
+            min_confidence: 0.05,
+            window: 6,
+            older_views: 2,
+            newest_share: 0.35,
+            older_share: 0.15,
+            step: StepSettings::direct(0.0),
+            page_distance_m: 100.0,
+            min_opacity: 0.05,
+            max_width_ratio: 0.5,
+        }
+    }
+}
