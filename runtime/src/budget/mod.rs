@@ -4,6 +4,7 @@
 //! capacities cost for a given camera. Every container is built from `budget.capacity(Row::...)`, and nothing
 //! grows afterwards.
 
+mod capacities;
 mod bytes_each;
 mod command;
 mod human_size;

@@ -1,5 +1,6 @@
 //! Reads a budget file strictly: what it does not know is an error, and so is what it cannot keep.
 
+use super::capacities::contradiction;
 use super::human_size::parse_bytes;
 use super::rows::{Location, ROWS, Row, RowSpec, WhenFull};
 use super::{Budget, BudgetError, Entry};
@@ -30,12 +31,19 @@ pub(super) fn parse(text: &str, file: &str) -> Result<Budget, BudgetError> {
     for spec in &ROWS {
         entries.push(reader.row(document, spec)?);
     }
-    Ok(Budget {
+    let budget = Budget {
         file: file.to_owned(),
         host_bytes: reader.total_bytes(total, "host_bytes")?,
         device_bytes: reader.total_bytes(total, "device_bytes")?,
         entries,
-    })
+    };
+    match contradiction(&budget) {
+        None => Ok(budget),
+        Some((row, problem, fix)) => {
+            let line = reader.line_of_row(document, row);
+            Err(BudgetError::Row { file: file.to_owned(), line, row: format!("[{row}]"), problem, fix })
+        }
+    }
 }
 
 struct Reader<'t> {
@@ -46,6 +54,14 @@ struct Reader<'t> {
 impl Reader<'_> {
     fn line(&self, span: &Range<usize>) -> usize {
         self.text.bytes().take(span.start).filter(|byte| *byte == b'\n').count() + 1
+    }
+
+    /// Line of the row's capacity.
+    fn line_of_row(&self, document: &Table<'_>, row: Row) -> usize {
+        let spec = row.spec();
+        let section = document.get(spec.section).map(Spanned::get_ref);
+        let capacity = section.and_then(|section| section.get(spec.name)?.get_ref().get("capacity"));
+        capacity.map_or(1, |value| self.line(&value.span()))
     }
 
     fn bad<T>(&self, value: &Spanned<T>, row: &str, problem: String, fix: String) -> BudgetError {
@@ -143,7 +159,7 @@ impl Reader<'_> {
             0 => "capacity is zero".to_owned(),
             _ => format!("capacity {capacity} is out of range"),
         };
-        Err(self.bad(value, row, problem, format!("choose {} to {}", spec.range.start(), spec.range.end())))
+        Err(self.bad(value, row, problem, choices(&spec.range)))
     }
 
     fn number(&self, value: &Spanned<DeValue<'_>>, row: &str, key: &str, is_size: bool) -> Result<u64, BudgetError> {
@@ -193,5 +209,12 @@ impl Reader<'_> {
                 Err(self.bad(value, row, problem, format!("write \"{}\"", spec.when_full.name())))
             }
         }
+    }
+}
+
+fn choices(range: &std::ops::RangeInclusive<u64>) -> String {
+    match (range.start(), range.end()) {
+        (only, end) if only == end => format!("choose {only}: this version is built for exactly that"),
+        (start, end) => format!("choose {start} to {end}"),
     }
 }

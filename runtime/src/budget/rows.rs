@@ -59,23 +59,25 @@ impl WhenFull {
 #[allow(missing_docs, reason = "each row is described by `RowSpec::element`, which the table prints")]
 pub enum Row {
     IpcFrameSlots,
+    TrackingGrayImages,
     TrackingPyramids,
-    TrackingCorners,
     TrackingTracks,
-    TrackingMatches,
-    TrackingKeyframes,
     TrackingLandmarks,
-    TrackingRoadPixels,
+    TrackingKeyframes,
+    PipelineKeyframeQueue,
     MapAnchors,
     MapGaussiansPerAnchor,
+    MapNewAnchors,
     MapVoxels,
     MapKeyframes,
     MapKeyframeImages,
+    MapWorkspaces,
     MapChunks,
     SplatVisibleGaussians,
+    SplatRowEntries,
     SplatPairs,
-    SplatGradientBands,
-    SplatImageBuffers,
+    SplatViews,
+    StorePageAnchors,
     StorePageQueue,
     StoreImageQueue,
     StoreKeyframeTable,
@@ -122,27 +124,29 @@ macro_rules! rows {
 }
 
 rows! {
-    IpcFrameSlots = ["ipc"."frame_slots"], "a camera frame in shared memory", &[Location::Ipc], OverwriteOldest, 4..=64;
-    TrackingPyramids = ["tracking"."pyramids"], "a grey image with its smaller levels", HOST, OverwriteOldest, 3..=8;
-    TrackingCorners = ["tracking"."corners"], "a corner candidate", HOST, EvictWorst, 64..=1 << 20;
-    TrackingTracks = ["tracking"."tracks"], "a point followed from frame to frame", HOST, Refuse, 64..=1 << 16;
-    TrackingMatches = ["tracking"."matches"], "a correspondence of two views", HOST, Refuse, 64..=1 << 16;
-    TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window", HOST, OverwriteOldest, 3..=64;
-    TrackingLandmarks = ["tracking"."landmarks"], "a triangulated point of the window", HOST, EvictWorst, 64..=1 << 18;
-    TrackingRoadPixels = ["tracking"."road_pixels"], "a pixel of the road patch", HOST, Refuse, 256..=1 << 22;
-    MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers", BACKEND, Refuse, 64..=1 << 24;
+    IpcFrameSlots = ["ipc"."frame_slots"], "a camera frame in shared memory", &[Location::Ipc], OverwriteOldest, 7..=63;
+    TrackingGrayImages = ["tracking"."gray_images"], "the current frame in grey", HOST, OverwriteOldest, 1..=1;
+    TrackingPyramids = ["tracking"."pyramids"], "a grey image with its smaller levels", HOST, OverwriteOldest, 3..=3;
+    TrackingTracks = ["tracking"."tracks"], "a point followed from frame to frame, its match and its scratch", HOST, Refuse, 64..=1 << 16;
+    TrackingLandmarks = ["tracking"."landmarks"], "a point of the window and where it was seen", HOST, Refuse, 64..=1 << 18;
+    TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window and its part of the bundle adjustment", HOST, OverwriteOldest, 8..=8;
+    PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;
+    MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers and their moments", BACKEND, Refuse, 64..=1 << 24;
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;
+    MapNewAnchors = ["map"."new_anchors"], "an anchor that a keyframe is about to spawn", HOST, Refuse, 16..=1 << 20;
     MapVoxels = ["map"."voxels"], "a slot of the voxel hash", HOST, Refuse, 64..=1 << 26;
-    MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", HOST, OverwriteOldest, 4..=1 << 16;
-    MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on", HOST, OverwriteOldest, 2..=4096;
-    MapChunks = ["map"."chunks"], "a resident chunk", HOST, OverwriteOldest, 1..=1 << 12;
-    SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian", BACKEND, Refuse, 64..=1 << 26;
+    MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, OverwriteOldest, 4..=1 << 16;
+    MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on, and its exposure", HOST, OverwriteOldest, 2..=4096;
+    MapWorkspaces = ["map"."workspaces"], "planes of motion stereo and insertion", HOST, Refuse, 1..=1;
+    MapChunks = ["map"."chunks"], "a resident chunk's background with its moments", BACKEND, OverwriteOldest, 1..=1 << 12;
+    SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian and its gradient", BACKEND, Refuse, 64..=1 << 26;
+    SplatRowEntries = ["splat"."row_entries"], "a (row of tiles, Gaussian) entry and its gradient", BACKEND, Refuse, 64..=1 << 27;
     SplatPairs = ["splat"."pairs"], "a (tile, Gaussian) pair", BACKEND, Refuse, 64..=1 << 28;
-    SplatGradientBands = ["splat"."gradient_bands"], "gradients of every visible Gaussian from one band of the image", BACKEND, Refuse, 1..=64;
-    SplatImageBuffers = ["splat"."image_buffers"], "a float per pixel and channel of a rendered view", BACKEND, Refuse, 4..=64;
-    StorePageQueue = ["store"."page_queue"], "a page on its way to or from the disk", HOST, Refuse, 1..=64;
-    StoreImageQueue = ["store"."image_queue"], "a keyframe image on its way to the disk", HOST, Refuse, 1..=256;
-    StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe that the map knows", HOST, Refuse, 64..=1 << 24;
+    SplatViews = ["splat"."views"], "the pixels of a view: drawn at native size, learned at mapping size", BACKEND, Refuse, 1..=1;
+    StorePageAnchors = ["store"."page_anchors"], "counted in store.page_queue", HOST, Refuse, 16..=1 << 20;
+    StorePageQueue = ["store"."page_queue"], "a page on its way to the disk", HOST, Refuse, 1..=64;
+    StoreImageQueue = ["store"."image_queue"], "a keyframe image on its way to the disk, or the encoder's output", HOST, Refuse, 2..=256;
+    StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe and a page of the finished map, to judge it", HOST, Refuse, 64..=1 << 24;
     TelemetryFrameRecords = ["telemetry"."frame_records"], "a frame's figures on their way to the log", HOST, Refuse, 8..=1 << 20;
     ProcessCodeAndStacks = ["process"."code_and_stacks"], "a byte of code, thread stacks, allocator slack, iceoryx2", HOST, Refuse, 1 << 20..=1 << 32;
     ProcessCameraChild = ["process"."camera_child"], "a byte of the capture process beside the shared frames", HOST, Refuse, 1 << 20..=1 << 32;

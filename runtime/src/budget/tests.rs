@@ -118,6 +118,26 @@ fn what_cannot_be_meant_is_refused_with_file_row_and_fix() {
     check(edited("[map.anchors]", "[maps.anchors]"), &["[maps]", "unknown section", "tracking"]);
     check(edited("[total]", "[totals]"), &["[totals]", "unknown section"]);
     check(edited("[total]", "[total"), &["not valid TOML"]);
+    check(
+        with_line("[ipc.frame_slots]", "capacity", "capacity = 8"),
+        &["[ipc.frame_slots]", "evenly", "odd number such as 9"],
+    );
+    check(
+        with_line("[map.voxels]", "capacity", "capacity = 70000"),
+        &["[map.voxels]", "too small for [map.anchors]", "three quarters"],
+    );
+    check(
+        with_line("[map.new_anchors]", "capacity", "capacity = 100000"),
+        &["[map.anchors]", "too small for [map.new_anchors]"],
+    );
+    check(
+        with_line("[splat.pairs]", "capacity", "capacity = 1000"),
+        &["[splat.pairs]", "too small for [splat.visible_gaussians]"],
+    );
+    check(
+        with_line("[tracking.pyramids]", "capacity", "capacity = 4"),
+        &["[tracking.pyramids]", "out of range", "choose 3"],
+    );
     check(Budget::parse("[total]\nhost_bytes = 1\ndevice_bytes = 1\n", "my.toml"), &["[ipc.frame_slots]", "missing"]);
     check(Budget::parse("map = 3\n", "my.toml"), &["[map]", "not a table"]);
 }
@@ -132,9 +152,9 @@ fn an_error_names_the_line() {
 #[test]
 fn lowering_the_named_row_to_the_named_capacity_makes_the_plan_fit() {
     let plan_of = |budget: &Budget| Plan::compute(budget, &COLOR_KITTI);
-    let too_large = with_line("[map.anchors]", "capacity", "capacity = 4000000").expect("in range");
+    let too_large = with_line("[splat.pairs]", "capacity", "capacity = 60000000").expect("in range");
     let message = plan_of(&too_large).check().unwrap_err().to_string();
-    assert!(message.contains("[map.anchors] takes"), "{message}");
+    assert!(message.contains("[splat.pairs] takes"), "{message}");
     let capacity: u64 = message
         .split("at most ")
         .nth(1)
@@ -142,7 +162,7 @@ fn lowering_the_named_row_to_the_named_capacity_makes_the_plan_fit() {
         .and_then(|number| number.parse().ok())
         .unwrap_or_else(|| panic!("no capacity in {message}"));
     let line = |capacity: u64| format!("capacity = {capacity}");
-    let with = |capacity| with_line("[map.anchors]", "capacity", &line(capacity)).expect("in range");
+    let with = |capacity| with_line("[splat.pairs]", "capacity", &line(capacity)).expect("in range");
     assert!(plan_of(&with(capacity)).check().is_ok(), "{message}");
     assert!(plan_of(&with(capacity + 2)).check().is_err(), "{message}");
 }

@@ -1,0 +1,78 @@
+//! What a budget grants each part of the program, in that part's own words.
+//!
+//! The plan prices the very same values that the parts are built from.
+
+use super::{Budget, PlanInput, Row};
+use crate::map_store::StoreCapacity;
+use crate::splat::Capacities;
+use kilogs_camera::ipc::FrameSlots;
+use kilogs_core::store::page_file_bytes;
+
+/// Processes that can read frames at once: the tracker and one more.
+const READERS: usize = 2;
+/// Frames that a reader can hold.
+const IN_HAND: usize = 2;
+/// Slots that do not wait for a reader: those in hand and the one being written.
+const NOT_WAITING: usize = READERS * IN_HAND + 1;
+
+impl Budget {
+    /// Slots of the camera's shared memory.
+    pub fn frame_slots(&self) -> FrameSlots {
+        let waiting = self.capacity(Row::IpcFrameSlots).saturating_sub(NOT_WAITING);
+        FrameSlots { subscribers: READERS, buffered: waiting / READERS, borrowed: IN_HAND }
+    }
+
+    /// Lists and pictures of the splat backend.
+    pub fn splat_capacities(&self, input: &PlanInput) -> Capacities {
+        Capacities {
+            anchors: self.capacity(Row::MapAnchors),
+            gaussians_per_anchor: self.capacity(Row::MapGaussiansPerAnchor),
+            visible_gaussians: self.capacity(Row::SplatVisibleGaussians),
+            row_entries: self.capacity(Row::SplatRowEntries),
+            pairs: self.capacity(Row::SplatPairs),
+            image_width_px: input.width,
+            image_height_px: input.height,
+            training_pixels: usize::try_from(input.mapping_pixels()).unwrap_or(usize::MAX),
+            keyframe_rows: self.capacity(Row::MapKeyframes),
+            chunk_rows: self.capacity(Row::MapChunks),
+            exposure_slots: self.capacity(Row::MapKeyframeImages),
+        }
+    }
+
+    /// Buffers of the map store. One image of the queue is the encoder's output.
+    pub fn store_capacity(&self) -> StoreCapacity {
+        let page_anchors = self.capacity(Row::StorePageAnchors);
+        let page_gaussians = page_anchors.saturating_mul(self.capacity(Row::MapGaussiansPerAnchor));
+        StoreCapacity {
+            page_bytes: page_file_bytes(page_anchors, page_gaussians),
+            page_buffers: self.capacity(Row::StorePageQueue),
+            image_buffers: self.capacity(Row::StoreImageQueue).saturating_sub(1),
+        }
+    }
+}
+
+/// Why capacities that are possible one by one are not possible together: the row, what is wrong, what to write.
+pub(super) fn contradiction(budget: &Budget) -> Option<(Row, String, String)> {
+    let of = |row| budget.capacity(row);
+    let slots = of(Row::IpcFrameSlots);
+    if budget.frame_slots().n_slots() != slots {
+        let problem = format!("capacity {slots} cannot be shared out evenly");
+        return Some((Row::IpcFrameSlots, problem, format!("write an odd number such as {}", slots + 1)));
+    }
+    let at_least = |row: Row, other: Row, needed: usize, why: &str| {
+        let capacity = of(row);
+        let problem = format!("capacity {capacity} is too small for [{other}] = {}: {why}", of(other));
+        (capacity < needed).then(|| (row, problem, format!("write at least {needed}, or lower [{other}]")))
+    };
+    let anchors = of(Row::MapAnchors);
+    at_least(Row::MapVoxels, Row::MapAnchors, (anchors * 4).div_ceil(3), "the hash stays at most three quarters full")
+        .or_else(|| at_least(Row::MapAnchors, Row::MapNewAnchors, of(Row::MapNewAnchors), "one keyframe may fill it"))
+        .or_else(|| {
+            let visible = of(Row::SplatVisibleGaussians);
+            at_least(Row::SplatRowEntries, Row::SplatVisibleGaussians, visible, "each meets a row of tiles at least")
+        })
+        .or_else(|| {
+            let visible = of(Row::SplatVisibleGaussians);
+            at_least(Row::SplatPairs, Row::SplatVisibleGaussians, visible, "each meets a tile at least")
+        })
+}
