@@ -6,6 +6,10 @@ use super::lane::Lane;
 pub const BETA1: f64 = 0.9;
 /// Decay of the mean squared gradient.
 pub const BETA2: f64 = 0.999;
+/// Binary logarithm of [`BETA1`].
+const LOG2_BETA1: f64 = -0.152_003_093_445_049_97;
+/// Binary logarithm of [`BETA2`].
+const LOG2_BETA2: f64 = -0.001_443_416_869_668_718_6;
 /// Keeps the division finite; as small as in Kerbl et al. 2023, because gradients of a mean over pixels are tiny.
 pub const EPSILON: f64 = 1e-15;
 /// A gradient beyond this is the product of an overflow and not followed.
@@ -25,8 +29,9 @@ impl<L: Lane> BiasCorrection<L> {
     #[inline(always)]
     pub fn at(step: L) -> Self {
         let one = step.constant(1.0);
-        let power = |beta: f64| (step * step.constant(beta.log2())).exp2();
-        Self { first: one / (one - power(BETA1)), second: one / (one - power(BETA2)).sqrt() }
+        let beta1_power = (step * step.constant(LOG2_BETA1)).exp2();
+        let beta2_power = (step * step.constant(LOG2_BETA2)).exp2();
+        Self { first: one / (one - beta1_power), second: one / (one - beta2_power).sqrt() }
     }
 }
 

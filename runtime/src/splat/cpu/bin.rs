@@ -5,9 +5,11 @@
 //! under that of [`LOG2_MIN_ALPHA`], so nothing that could be seen is left out.
 
 use super::grid::{BLOCK_PX, BLOCKS_PER_SIDE, Grid, MAX_TILE_ROWS, TILE_PX};
+use super::simd::Dispatch;
 use super::splats::{Entry, LOG2_MIN_ALPHA, Lists, MAX_JOBS, Pair, Splat, take_front};
 use super::splatting::pixels_within;
 use crate::pool::Pool;
+use pulp::{Simd, WithSimd};
 
 /// How much was listed and what did not fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,7 +25,7 @@ pub struct BinCounts {
 }
 
 /// Lists the entries of every row of tiles and reserves the space of its pairs.
-pub fn list_entries(pool: &Pool, grid: &Grid, n_splats: usize, lists: &mut Lists) -> BinCounts {
+pub fn list_entries(pool: &Pool, dispatch: Dispatch, grid: &Grid, n_splats: usize, lists: &mut Lists) -> BinCounts {
     let mut counts = BinCounts::default();
     let capacity = lists.entries.len();
     let mut needed = 0;
@@ -44,7 +46,7 @@ pub fn list_entries(pool: &Pool, grid: &Grid, n_splats: usize, lists: &mut Lists
             unreachable!("a grid has at most MAX_TILE_ROWS rows");
         }
     }
-    pool.for_each(&mut jobs, |_, job| job.run(grid, sorted));
+    pool.for_each(&mut jobs, |_, job| dispatch.run(RunEntryJob(job, grid, sorted)));
 
     let capacity = lists.pairs.len();
     let mut needed = 0;
@@ -64,7 +66,18 @@ struct EntryJob<'a> {
     n_pairs: usize,
 }
 
+struct RunEntryJob<'j, 'a>(&'j mut EntryJob<'a>, &'j Grid, &'j [Splat]);
+
+impl WithSimd for RunEntryJob<'_, '_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        self.0.run(self.1, self.2);
+    }
+}
+
 impl EntryJob<'_> {
+    #[inline(always)]
     fn run(&mut self, grid: &Grid, sorted: &[Splat]) {
         let top = self.row * TILE_PX;
         let mut out = self.entries.iter_mut();
@@ -85,6 +98,7 @@ impl EntryJob<'_> {
 }
 
 /// Fills the pairs of one row of tiles, tile by tile and by depth within a tile; returns how many there are.
+#[inline(always)]
 pub fn list_pairs(
     grid: &Grid,
     row: usize,

@@ -5,7 +5,7 @@ use super::grid::{
     BLOCK_PIXELS, BLOCK_PX, BLOCK_X_PX, BLOCK_Y_PX, BLOCKS_PER_SIDE, Grid, TILE_BLOCKS, TILE_PIXELS, TILE_PX,
     scatter_tile,
 };
-use super::lane::{Lane, Wide};
+use super::lane::{Lane, Wide, each};
 use super::splats::{Entry, LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE, Pair, Splat};
 use pulp::{Simd, WithSimd};
 
@@ -112,9 +112,9 @@ impl Tile {
             let after = before - hit.alpha * before;
             let goes_on = before.constant(f64::from(MIN_TRANSMITTANCE)).lt(after);
             let weight = before.zero().replace(before.and(hit.seen, goes_on), hit.alpha * before);
-            for (channel, &value) in self.channels[..TRANSMITTANCE].iter_mut().zip(&splat.values) {
-                let channel = &mut channel[pixels.clone()];
-                weight.mul_add(value, Wide::load(simd, channel)).store(channel);
+            for i in 0..TRANSMITTANCE {
+                let channel = &mut self.channels[i][pixels.clone()];
+                weight.mul_add(splat.values[i], Wide::load(simd, channel)).store(channel);
             }
             // A pixel that has ended is negative, so that it never goes on.
             let next = (-before.abs()).replace(goes_on, after);
@@ -164,12 +164,10 @@ impl<S: Simd> SplatLanes<S> {
     /// Spreads a splat.
     #[inline(always)]
     pub fn new(simd: S, splat: &Splat) -> Self {
-        let all = |value| Wide::splat(simd, value);
-        let [red, green, blue] = splat.color.map(all);
         Self {
-            conic: splat.conic_log2.map(all),
-            log2_opacity: all(splat.log2_opacity),
-            values: [red, green, blue, all(splat.depth_m)],
+            conic: each!(i in 3 => Wide::splat(simd, splat.conic_log2[i])),
+            log2_opacity: Wide::splat(simd, splat.log2_opacity),
+            values: each!(i in 4 => Wide::splat(simd, if i < 3 { splat.color[i] } else { splat.depth_m })),
         }
     }
 

@@ -116,8 +116,9 @@ impl TileGradients {
                     alive_blocks &= !(1 << block);
                 }
             }
-            for (total, sum) in entry_grads[pair.entry as usize].iter_mut().zip(sums) {
-                *total += sum.sum();
+            let totals = &mut entry_grads[pair.entry as usize];
+            for i in 0..N_SPLAT_GRADS {
+                totals[i] += sums[i].sum();
             }
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! This stage is the one that a learned decoder replaces; nothing after it knows how a Gaussian came about.
 
-use super::lane::Lane;
+use super::lane::{Lane, each};
 
 /// Position of each group within the 14 trained numbers of a Gaussian (the layout of
 /// [`GaussianParams`](kilogs_core::map::GaussianParams)).
@@ -55,14 +55,13 @@ pub struct AnchorLanes<L> {
 /// Own definition, see [`GaussianParams`](kilogs_core::map::GaussianParams); the anchor form is that of Lu et al. 2024, eq. 3.
 #[inline(always)]
 pub fn decode<L: Lane>(anchor: &AnchorLanes<L>, params: &[L; N_PARAMS]) -> Decoded<L> {
-    let p = |i: usize| params[i];
     let inverse_norm = inverse_quaternion_norm(params);
     Decoded {
-        mean: [0, 1, 2].map(|i| p(group::OFFSET + i).mul_add(anchor.extent[i], anchor.position[i])),
-        rotation: [0, 1, 2, 3].map(|i| p(group::ROTATION + i) * inverse_norm),
-        scale: [0, 1, 2].map(|i| anchor.extent[i] * p(group::LOG_SCALE + i).exp()),
-        opacity: p(group::OPACITY).sigmoid(),
-        color: [0, 1, 2].map(|i| p(group::COLOR + i).sigmoid()),
+        mean: each!(i in 3 => params[group::OFFSET + i].mul_add(anchor.extent[i], anchor.position[i])),
+        rotation: each!(i in 4 => params[group::ROTATION + i] * inverse_norm),
+        scale: each!(i in 3 => anchor.extent[i] * params[group::LOG_SCALE + i].exp()),
+        opacity: params[group::OPACITY].sigmoid(),
+        color: each!(i in 3 => params[group::COLOR + i].sigmoid()),
     }
 }
 
@@ -78,7 +77,6 @@ pub fn decode_backward<L: Lane>(
     grad: &Decoded<L>,
 ) -> [L; N_PARAMS] {
     let one = decoded.opacity.constant(1.0);
-    let logistic = |value: L, grad: L| grad * value * (one - value);
     let inverse_norm = inverse_quaternion_norm(params);
     let (q, dq) = (&decoded.rotation, &grad.rotation);
     let along = q[0] * dq[0] + q[1] * dq[1] + q[2] * dq[2] + q[3] * dq[3];
@@ -86,18 +84,18 @@ pub fn decode_backward<L: Lane>(
     for i in 0..3 {
         out[group::OFFSET + i] = grad.mean[i] * anchor.extent[i];
         out[group::LOG_SCALE + i] = grad.scale[i] * decoded.scale[i];
-        out[group::COLOR + i] = logistic(decoded.color[i], grad.color[i]);
+        out[group::COLOR + i] = grad.color[i] * decoded.color[i] * (one - decoded.color[i]);
     }
     for i in 0..4 {
         out[group::ROTATION + i] = (dq[i] - q[i] * along) * inverse_norm;
     }
-    out[group::OPACITY] = logistic(decoded.opacity, grad.opacity);
+    out[group::OPACITY] = grad.opacity * decoded.opacity * (one - decoded.opacity);
     out
 }
 
 #[inline(always)]
 fn inverse_quaternion_norm<L: Lane>(params: &[L; N_PARAMS]) -> L {
-    let q = |i: usize| params[group::ROTATION + i];
-    let norm2 = q(0) * q(0) + q(1) * q(1) + q(2) * q(2) + q(3) * q(3);
+    let [x, y, z, w] = each!(i in 4 => params[group::ROTATION + i]);
+    let norm2 = x * x + y * y + z * z + w * w;
     norm2.constant(1.0) / norm2.max(norm2.constant(MIN_QUATERNION_NORM2)).sqrt()
 }

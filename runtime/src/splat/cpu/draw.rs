@@ -78,7 +78,7 @@ impl ViewBuffers {
         let camera_view = CameraView { keyframes: &self.keyframes, camera, grid };
         make_splats(pool, dispatch, anchors, camera_view, n_candidates, lists);
         let n_splats = sort(pool, n_candidates, lists);
-        let counts = list_entries(pool, &grid, n_splats, lists);
+        let counts = list_entries(pool, dispatch, &grid, n_splats, lists);
         let pairs = blend(machine, &grid, &rays, texels, n_splats, lists, &mut self.planes);
         let overflow = Overflow {
             visible_gaussians: invisible as u32,

@@ -1,6 +1,60 @@
 //! One number per lane: the mathematics of every kernel is written once over this trait and runs on `f64`
 //! (checks against finite differences) and on SIMD vectors of `f32` (everything else).
 
+/// An array of 2, 3 or 4 from an expression of the index, without a closure: a closure is compiled without the
+/// instruction set of the kernel that it is in, and would call what should be one instruction.
+macro_rules! each {
+    ($i:ident in 2 => $element:expr) => {
+        [
+            {
+                let $i = 0usize;
+                $element
+            },
+            {
+                let $i = 1usize;
+                $element
+            },
+        ]
+    };
+    ($i:ident in 3 => $element:expr) => {
+        [
+            {
+                let $i = 0usize;
+                $element
+            },
+            {
+                let $i = 1usize;
+                $element
+            },
+            {
+                let $i = 2usize;
+                $element
+            },
+        ]
+    };
+    ($i:ident in 4 => $element:expr) => {
+        [
+            {
+                let $i = 0usize;
+                $element
+            },
+            {
+                let $i = 1usize;
+                $element
+            },
+            {
+                let $i = 2usize;
+                $element
+            },
+            {
+                let $i = 3usize;
+                $element
+            },
+        ]
+    };
+}
+pub(super) use each;
+
 use core::ops::{Add, Div, Mul, Neg, Sub};
 use pulp::Simd;
 

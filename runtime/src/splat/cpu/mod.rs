@@ -8,6 +8,11 @@
 //! Numbers are byte-identical for the same input and SIMD level: every list is cut into pieces that do not depend on
 //! the number of threads, and every sum is taken in the order of the pieces.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "kernels index instead of iterating with closures, which would not inherit the instruction set"
+)]
+
 mod adam;
 mod anchors;
 mod backend;

@@ -3,7 +3,7 @@
 use super::anchors::FixedNumbers;
 use super::cull::KeyframeNumbers;
 use super::decode::{AnchorLanes, N_PARAMS};
-use super::lane::Wide;
+use super::lane::{Wide, each};
 use super::project::CameraFromKeyframe;
 use pulp::Simd;
 use zerocopy::IntoBytes;
@@ -88,17 +88,19 @@ impl Packet {
     /// The lanes from `first` on.
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, first: usize) -> PacketLanes<S> {
-        let load = |row: &Row| row.load(simd, first);
-        let m = |i: usize| load(&self.placement[i]);
+        let mut params = [Wide::splat(simd, 0.0); N_PARAMS];
+        for i in 0..N_PARAMS {
+            params[i] = self.params[i].load(simd, first);
+        }
         PacketLanes {
-            params: core::array::from_fn(|i| load(&self.params[i])),
+            params,
             anchor: AnchorLanes {
-                position: core::array::from_fn(|i| load(&self.position[i])),
-                extent: core::array::from_fn(|i| load(&self.extent[i])),
+                position: each!(i in 3 => self.position[i].load(simd, first)),
+                extent: each!(i in 3 => self.extent[i].load(simd, first)),
             },
             placement: CameraFromKeyframe {
-                linear: [[m(0), m(1), m(2)], [m(3), m(4), m(5)], [m(6), m(7), m(8)]],
-                translation: [m(9), m(10), m(11)],
+                linear: each!(r in 3 => each!(c in 3 => self.placement[3 * r + c].load(simd, first))),
+                translation: each!(i in 3 => self.placement[9 + i].load(simd, first)),
             },
         }
     }

@@ -1,7 +1,7 @@
 //! From a Gaussian in its keyframe's frame to a splat on the picture, and gradients back.
 
 use super::decode::Decoded;
-use super::lane::Lane;
+use super::lane::{Lane, each};
 use crate::splat::View;
 
 /// Variance added to every splat, px^2: the low-pass filter of a pixel.
@@ -31,12 +31,12 @@ impl CameraConstants {
         let focal_px = [camera.fx, camera.fy];
         let center_px = [camera.cx, camera.cy];
         let size_px = [f64::from(camera.width), f64::from(camera.height)];
-        let margin_z1 = [0, 1].map(|i| FIELD_OF_VIEW_MARGIN * 0.5 * size_px[i] / focal_px[i]);
+        let margin_z1 = each!(i in 2 => FIELD_OF_VIEW_MARGIN * 0.5 * size_px[i] / focal_px[i]);
         Self {
             focal_px,
             center_px,
-            min_z1: [0, 1].map(|i| -center_px[i] / focal_px[i] - margin_z1[i]),
-            max_z1: [0, 1].map(|i| (size_px[i] - center_px[i]) / focal_px[i] + margin_z1[i]),
+            min_z1: each!(i in 2 => -center_px[i] / focal_px[i] - margin_z1[i]),
+            max_z1: each!(i in 2 => (size_px[i] - center_px[i]) / focal_px[i] + margin_z1[i]),
         }
     }
 }
@@ -93,17 +93,17 @@ pub struct SplatGradient<L> {
 /// Zwicker et al. 2002, eq. 24-31; clamp of the linearisation point: Kerbl et al. 2023, as documented by gsplat.
 #[inline(always)]
 pub fn project<L: Lane>(camera: &CameraConstants, placement: &CameraFromKeyframe<L>, g: &Decoded<L>) -> Projected<L> {
-    let mean_in_camera = [0, 1, 2].map(|i| dot(&placement.linear[i], &g.mean) + placement.translation[i]);
+    let mean_in_camera = each!(i in 3 => dot(&placement.linear[i], &g.mean) + placement.translation[i]);
     let [x, y, z] = mean_in_camera;
     let inverse_z = z.constant(1.0) / z;
     let z1 = [x * inverse_z, y * inverse_z];
-    let linearised_z1 = [0, 1].map(|i| z1[i].clamp(z.constant(camera.min_z1[i]), z.constant(camera.max_z1[i])));
+    let linearised_z1 = each!(i in 2 => z1[i].clamp(z.constant(camera.min_z1[i]), z.constant(camera.max_z1[i])));
     let rotation = rotation_matrix(&g.rotation);
-    let oriented = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[i][j] * g.scale[j]));
+    let oriented = each!(i in 3 => each!(j in 3 => rotation[i][j] * g.scale[j]));
     let root = multiply(&placement.linear, &oriented);
-    let root_px = [0, 1].map(|i| {
+    let root_px = each!(i in 2 => {
         let along = z.constant(camera.focal_px[i]) * inverse_z;
-        [0, 1, 2].map(|j| along * (root[i][j] - linearised_z1[i] * root[2][j]))
+        each!(j in 3 => along * (root[i][j] - linearised_z1[i] * root[2][j]))
     });
     let dilation = z.constant(SCREEN_DILATION_PX2);
     let xx = dot(&root_px[0], &root_px[0]) + dilation;
@@ -111,7 +111,7 @@ pub fn project<L: Lane>(camera: &CameraConstants, placement: &CameraFromKeyframe
     let yy = dot(&root_px[1], &root_px[1]) + dilation;
     let inverse_determinant = z.constant(1.0) / (xx * yy - xy * xy);
     Projected {
-        mean_px: [0, 1].map(|i| z1[i].mul_add(z.constant(camera.focal_px[i]), z.constant(camera.center_px[i]))),
+        mean_px: each!(i in 2 => z1[i].mul_add(z.constant(camera.focal_px[i]), z.constant(camera.center_px[i]))),
         depth_m: z,
         covariance_px2: [xx, xy, yy],
         conic: [yy * inverse_determinant, -xy * inverse_determinant, xx * inverse_determinant],
@@ -156,15 +156,19 @@ pub fn project_backward<L: Lane>(
         grad_mean[2] = grad_mean[2] - (grad_along + grad_z1 * value_z1) * inverse_z;
     }
     let grad_oriented = multiply_transposed(&placement.linear, &grad_root);
-    let grad_rotation = [0, 1, 2].map(|i| [0, 1, 2].map(|j| grad_oriented[i][j] * g.scale[j]));
-    let column = |m: &[[L; 3]; 3], j: usize| [m[0][j], m[1][j], m[2][j]];
+    let grad_rotation = each!(i in 3 => each!(j in 3 => grad_oriented[i][j] * g.scale[j]));
     Decoded {
-        mean: [0, 1, 2].map(|j| dot(&column(&placement.linear, j), &grad_mean)),
+        mean: each!(j in 3 => dot(&column(&placement.linear, j), &grad_mean)),
         rotation: rotation_backward(&g.rotation, &grad_rotation),
-        scale: [0, 1, 2].map(|j| dot(&column(&p.rotation, j), &column(&grad_oriented, j))),
+        scale: each!(j in 3 => dot(&column(&p.rotation, j), &column(&grad_oriented, j))),
         opacity: grad.opacity,
         color: grad.color,
     }
+}
+
+#[inline(always)]
+fn column<L: Lane>(m: &[[L; 3]; 3], j: usize) -> [L; 3] {
+    [m[0][j], m[1][j], m[2][j]]
 }
 
 /// Through `conic = (root_px root_px^T + dilation)^-1`: `dCov = -conic dConic conic`, `dRoot = 2 dCov root`.
@@ -181,7 +185,7 @@ fn root_px_backward<L: Lane>(p: &Projected<L>, grad_conic: &[L; 3]) -> [[L; 3]; 
     let xy = minus_two * (m00 * b + m01 * c);
     let yy = minus_two * (m10 * b + m11 * c);
     let [r0, r1] = &p.root_px;
-    [[0, 1, 2].map(|j| xx * r0[j] + xy * r1[j]), [0, 1, 2].map(|j| xy * r0[j] + yy * r1[j])]
+    [each!(j in 3 => xx * r0[j] + xy * r1[j]), each!(j in 3 => xy * r0[j] + yy * r1[j])]
 }
 
 #[inline(always)]
@@ -191,13 +195,13 @@ fn dot<L: Lane>(a: &[L; 3], b: &[L; 3]) -> L {
 
 #[inline(always)]
 fn multiply<L: Lane>(a: &[[L; 3]; 3], b: &[[L; 3]; 3]) -> [[L; 3]; 3] {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| dot(&a[i], &[b[0][j], b[1][j], b[2][j]])))
+    each!(i in 3 => each!(j in 3 => dot(&a[i], &[b[0][j], b[1][j], b[2][j]])))
 }
 
 /// `a^T b`.
 #[inline(always)]
 fn multiply_transposed<L: Lane>(a: &[[L; 3]; 3], b: &[[L; 3]; 3]) -> [[L; 3]; 3] {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| dot(&[a[0][i], a[1][i], a[2][i]], &[b[0][j], b[1][j], b[2][j]])))
+    each!(i in 3 => each!(j in 3 => dot(&[a[0][i], a[1][i], a[2][i]], &[b[0][j], b[1][j], b[2][j]])))
 }
 
 /// Rotation matrix `[row][column]` of a unit quaternion xyzw.

@@ -2,7 +2,7 @@
 
 use super::adam::{BiasCorrection, adam};
 use super::grid::Grid;
-use super::lane::{Lane, Wide};
+use super::lane::{Lane, Wide, each};
 use super::simd::Dispatch;
 use crate::pool::Pool;
 use crate::splat::{
@@ -164,7 +164,7 @@ impl Rays {
     /// Table coordinates of the pixel (x, y): column in 0..=[`BACKGROUND_COLUMNS`] and row, both of texel centres.
     #[inline(always)]
     pub fn texel<L: Lane>(&self, x_px: L, y_px: L) -> [L; 2] {
-        let direction = [0, 1, 2].map(|i| {
+        let direction = each!(i in 3 => {
             let from_corner = x_px.mul_add(x_px.constant(self.right[i]), x_px.constant(self.corner[i]));
             y_px.mul_add(y_px.constant(self.down[i]), from_corner)
         });
@@ -219,7 +219,7 @@ impl Corners {
         let columns = [(left + BACKGROUND_COLUMNS - 1) % BACKGROUND_COLUMNS, left % BACKGROUND_COLUMNS];
         let rows = [top.min(BACKGROUND_ROWS - 1), (top + 1).min(BACKGROUND_ROWS - 1)];
         Self {
-            at: [0, 1, 2, 3].map(|i| rows[i / 2] * BACKGROUND_COLUMNS + columns[i % 2]),
+            at: each!(i in 4 => rows[i / 2] * BACKGROUND_COLUMNS + columns[i % 2]),
             weight: [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy],
         }
     }

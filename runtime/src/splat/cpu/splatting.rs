@@ -4,7 +4,7 @@ use super::anchors::Anchors;
 use super::cull::KeyframeNumbers;
 use super::decode::decode;
 use super::grid::{Grid, MAX_TILE_ROWS, TILE_PX};
-use super::lane::Lane;
+use super::lane::{Lane, each};
 use super::packet::{PACKET, Packet, Row, ZERO_ROW, as_arrays};
 use super::project::{CameraConstants, NEAR_PLANE_M, project};
 use super::simd::Dispatch;
@@ -134,8 +134,9 @@ impl ProjectedRows {
         let [xx, xy, yy] = projected.conic;
         let log2_e = xx.constant(f64::from(LOG2_E));
         let half = xx.constant(-0.5) * log2_e;
-        for (row, value) in self.conic.iter_mut().zip([half * xx, -log2_e * xy, half * yy]) {
-            row.store(first, value);
+        let conic_log2 = [half * xx, -log2_e * xy, half * yy];
+        for i in 0..3 {
+            self.conic[i].store(first, conic_log2[i]);
         }
         for i in 0..2 {
             self.mean_px[i].store(first, projected.mean_px[i]);
@@ -154,10 +155,10 @@ impl ProjectedRows {
         let depth_m = self.depth_m.0[lane];
         let log2_opacity = self.opacity.0[lane].log2();
         let reach = log2_opacity - LOG2_MIN_ALPHA;
-        let conic_log2 = [0, 1, 2].map(|i| self.conic[i].0[lane]);
-        let mean_px = [0, 1].map(|i| self.mean_px[i].0[lane]);
+        let conic_log2 = each!(i in 3 => self.conic[i].0[lane]);
+        let mean_px = each!(i in 2 => self.mean_px[i].0[lane]);
         // q <= ln(255 opacity) reaches sqrt(2 q variance) from the mean.
-        let extent_px = [0, 1].map(|i| (2.0 * LN_2 * reach * self.variance_px2[i].0[lane]).sqrt());
+        let extent_px = each!(i in 2 => (2.0 * LN_2 * reach * self.variance_px2[i].0[lane]).sqrt());
         let all_finite = (mean_px[0] + mean_px[1] + conic_log2[0] + conic_log2[1] + conic_log2[2]).is_finite()
             && (extent_px[0] + extent_px[1]).is_finite();
         let is_ellipse = conic_log2[0] < 0.0 && conic_log2[2] < 0.0;
@@ -165,13 +166,13 @@ impl ProjectedRows {
             return None;
         }
         let size = [grid.width, grid.height];
-        let [columns, rows] = [0, 1].map(|i| pixels_within(mean_px[i], -extent_px[i], extent_px[i], size[i]));
+        let [columns, rows] = each!(i in 2 => pixels_within(mean_px[i], -extent_px[i], extent_px[i], size[i]));
         columns?;
         Some(Splat {
             mean_px,
             conic_log2,
             log2_opacity,
-            color: [0, 1, 2].map(|i| self.color[i].0[lane]),
+            color: each!(i in 3 => self.color[i].0[lane]),
             depth_m,
             extent_px,
             rows_px: rows.map(|[first, last]| [first as u16, last as u16])?,

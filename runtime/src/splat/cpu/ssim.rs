@@ -3,7 +3,7 @@
 //! Windows reach over the border onto zeros, as in the reference losses of the field. A window sum is a product of
 //! a row sum and a column sum, and is its own adjoint, so the gradient is three more window sums.
 
-use super::lane::{Lane, Wide};
+use super::lane::{Lane, Wide, each};
 use super::simd::Dispatch;
 use super::splats::take_front;
 use crate::pool::Pool;
@@ -167,8 +167,8 @@ impl WithSimd for SumRows<'_, '_, '_> {
                     sums[4] = wx.mul_add(y, sums[4]);
                 }
                 let pixels = i * width + at..i * width + (at + S::F32_LANES).min(width);
-                for (plane, sum) in band.planes.iter_mut().zip(sums) {
-                    sum.store(&mut plane[pixels.clone()]);
+                for p in 0..N_SUMS {
+                    sums[p].store(&mut band.planes[p][pixels.clone()]);
                 }
             }
         }
@@ -202,12 +202,15 @@ impl WithSimd for Compare<'_, '_, '_> {
         for i in 0..band.n_rows {
             let row = band.first_row + i;
             for at in (0..width).step_by(S::F32_LANES) {
-                let window = core::array::from_fn(|p| column_sum(simd, &sums[p * n..(p + 1) * n], width, row, at));
+                let mut window = [Wide::splat(simd, 0.0); N_SUMS];
+                for p in 0..N_SUMS {
+                    window[p] = column_sum(simd, &sums[p * n..(p + 1) * n], width, row, at);
+                }
                 let (value, derivatives) = similarity(&window);
                 let end = (at + S::F32_LANES).min(width);
                 value.store(&mut values.row_mut(width)[at..end]);
-                for (row, derivative) in rows.iter_mut().zip(derivatives) {
-                    derivative.store(&mut row.row_mut(width)[at..end]);
+                for p in 0..N_DERIVATIVES {
+                    derivatives[p].store(&mut rows[p].row_mut(width)[at..end]);
                 }
             }
             band.sum += values.row_mut(width).iter().map(|&v| f64::from(v)).sum::<f64>();
@@ -262,8 +265,8 @@ impl WithSimd for Collect<'_, '_, '_> {
         for i in 0..band.n_rows {
             let row = band.first_row + i;
             for at in (0..width).step_by(S::F32_LANES) {
-                let [by_x, by_xx, by_xy]: [Wide<S>; N_DERIVATIVES] =
-                    core::array::from_fn(|p| column_sum(simd, &derivatives[p * n..(p + 1) * n], width, row, at));
+                let [by_x, by_xx, by_xy] =
+                    each!(p in 3 => column_sum(simd, &derivatives[p * n..(p + 1) * n], width, row, at));
                 let end = (at + S::F32_LANES).min(width);
                 let x = Wide::load(simd, &channel.x[row * width + at..row * width + end]);
                 let y = Wide::load(simd, &channel.y[row * width + at..row * width + end]);

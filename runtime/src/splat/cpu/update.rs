@@ -6,7 +6,7 @@ use super::adam::{BiasCorrection, adam};
 use super::anchors::{Anchors, FixedNumbers, Moments};
 use super::decode::{Decoded, N_PARAMS, decode, decode_backward, group};
 use super::draw::Machine;
-use super::lane::{Lane, Wide};
+use super::lane::{Lane, Wide, each};
 use super::packet::{PACKET, Packet, PacketLanes, Row, ZERO_ROW, as_arrays_mut};
 use super::project::{Projected, SplatGradient, project, project_backward};
 use super::splats::{GRAD_COLOR, GRAD_DEPTH, Lists, MAX_JOBS, N_SPLAT_GRADS, piece_len, take_front};
@@ -127,8 +127,8 @@ impl UpdateJob<'_> {
         for first in (0..PACKET).step_by(S::F32_LANES) {
             let lanes = work.packet.lanes(simd, first);
             let gradient = work.gradient(simd, first, &lanes, self);
-            for (row, value) in work.param_grads.iter_mut().zip(gradient) {
-                row.store(first, value);
+            for i in 0..N_PARAMS {
+                work.param_grads[i].store(first, gradient[i]);
             }
         }
         self.anisotropy += work.anisotropy.0[..ids.len()].iter().map(|&v| f64::from(v)).sum::<f64>();
@@ -211,11 +211,14 @@ impl Work {
     ) -> [Wide<S>; N_PARAMS] {
         let decoded = decode(&lanes.anchor, &lanes.params);
         let projected = project(&job.view.camera, &lanes.placement, &decoded);
-        let sums = core::array::from_fn(|i| self.splat_grads[i].load(simd, first));
+        let mut sums = [Wide::splat(simd, 0.0); N_SPLAT_GRADS];
+        for i in 0..N_SPLAT_GRADS {
+            sums[i] = self.splat_grads[i].load(simd, first);
+        }
         let splat = from_moments(&sums, &decoded, &projected);
         let grad = project_backward(&job.view.camera, &lanes.placement, &decoded, &projected, &splat);
         let mut out = decode_backward(&lanes.anchor, &lanes.params, &decoded, &grad);
-        let log_scale = core::array::from_fn(|i| lanes.params[group::LOG_SCALE + i]);
+        let log_scale = each!(i in 3 => lanes.params[group::LOG_SCALE + i]);
         let (anisotropy, isotropy_grad) = anisotropy(&log_scale);
         self.anisotropy.store(first, anisotropy);
         let weight = Wide::splat(simd, job.rule.isotropy_weight);
@@ -254,14 +257,14 @@ fn from_moments<L: Lane>(
     decoded: &Decoded<L>,
     projected: &Projected<L>,
 ) -> SplatGradient<L> {
-    let [total, by_x, by_y, by_xx, by_xy, by_yy] = [0, 1, 2, 3, 4, 5].map(|i| sums[i]);
+    let [total, by_x, by_y, by_xx, by_xy, by_yy, ..] = *sums;
     let [xx, xy, yy] = projected.conic;
     let half = total.constant(0.5);
     SplatGradient {
         mean_px: [-(xx * by_x + xy * by_y), -(xy * by_x + yy * by_y)],
         conic: [half * by_xx, by_xy, half * by_yy],
         opacity: -total / decoded.opacity,
-        color: [0, 1, 2].map(|i| sums[GRAD_COLOR + i]),
+        color: each!(i in 3 => sums[GRAD_COLOR + i]),
         depth: sums[GRAD_DEPTH],
     }
 }
@@ -269,11 +272,11 @@ fn from_moments<L: Lane>(
 /// `|s - mean(s)|_1` of the scales in units of the anchor's extent, and its gradient with respect to `log_scale`.
 #[inline(always)]
 pub fn anisotropy<L: Lane>(log_scale: &[L; 3]) -> (L, [L; 3]) {
-    let scale = log_scale.map(L::exp);
+    let scale = each!(i in 3 => log_scale[i].exp());
     let third = scale[0].constant(1.0 / 3.0);
     let mean = (scale[0] + scale[1] + scale[2]) * third;
-    let sign = scale.map(|s| (s - mean).signum());
+    let sign = each!(i in 3 => (scale[i] - mean).signum());
     let mean_sign = (sign[0] + sign[1] + sign[2]) * third;
     let value = (scale[0] - mean).abs() + (scale[1] - mean).abs() + (scale[2] - mean).abs();
-    (value, [0, 1, 2].map(|i| (sign[i] - mean_sign) * scale[i]))
+    (value, each!(i in 3 => (sign[i] - mean_sign) * scale[i]))
 }
