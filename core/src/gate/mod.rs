@@ -19,7 +19,7 @@ pub struct GateSettings {
 
 impl GateSettings {
     /// The values that the documentation of the fields explains.
-    pub const STANDARD: Self = Self { min_flow_px: 24.0, min_survivors_ratio: 0.4, min_tracks: 150 };
+    pub const STANDARD: Self = Self { min_flow_px: 24.0, min_survivors_ratio: 0.3, min_tracks: 150 };
 }
 
 /// What has changed since the last keyframe.
@@ -114,8 +114,8 @@ mod tests {
 
     #[test]
     fn a_frame_is_kept_before_the_tracks_run_out() {
-        check(1.0, 400, 1000, 1241, GateVerdict::Hold { flow_px: 1.0, limit_px: 24.0 });
-        check(1.0, 399, 1000, 1241, GateVerdict::TooFewTracks { found: 399, needed: 400 });
+        check(1.0, 300, 1000, 1241, GateVerdict::Hold { flow_px: 1.0, limit_px: 24.0 });
+        check(1.0, 299, 1000, 1241, GateVerdict::TooFewTracks { found: 299, needed: 300 });
         check(1.0, 149, 200, 1241, GateVerdict::TooFewTracks { found: 149, needed: 150 });
         check(1.0, 20, 20, 1241, GateVerdict::Hold { flow_px: 1.0, limit_px: 24.0 });
         check(0.0, 0, 0, 1241, GateVerdict::Hold { flow_px: 0.0, limit_px: 24.0 });

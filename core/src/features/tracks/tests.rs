@@ -176,3 +176,17 @@ fn tracks_judged_elsewhere_can_be_dropped() {
     table.clear();
     assert_eq!(table.tracks(), []);
 }
+
+#[test]
+fn a_track_is_expected_to_go_on_and_a_new_one_to_follow_its_neighbor() {
+    let track = |x: f32, age_frames: u32, step_x: f32| Track {
+        age_frames,
+        previous_px: [x - step_x, 50.0],
+        current_px: [x, 50.0],
+        ..Track::NONE
+    };
+    let tracks = [track(10.0, 3, 5.0), track(90.0, 1, -2.0), track(60.0, 0, 0.0), track(30.0, 0, 0.0)];
+    let expected: Vec<[f32; 2]> = tracks.iter().map(|track| expected_step_px(track, &tracks)).collect();
+    assert_eq!(expected, [[5.0, 0.0], [-2.0, 0.0], [-2.0, 0.0], [5.0, 0.0]]);
+    assert_eq!(expected_step_px(&tracks[2], &tracks[2..]), [0.0, 0.0], "nobody has moved yet");
+}
