@@ -2,6 +2,7 @@
 //!
 //! Everything here allocates at start-up and then seals itself; `kilogs-core` does the calculating.
 
+pub mod cli;
 pub mod config;
 pub mod settings;
 pub mod doctor;
@@ -16,6 +17,10 @@ pub mod map_store;
 pub mod export;
 pub mod render_views;
 pub mod telemetry;
+pub mod pipeline;
+
+mod run_error;
+pub use run_error::RunError;
 
 #[cfg(test)]
 #[global_allocator]

@@ -1,6 +1,23 @@
 //! `kilogs`: the command line.
 
-#[global_allocator]
-static ALLOCATOR: kilogs::seal::CountingAllocator = kilogs::seal::CountingAllocator;
+use kilogs::seal::CountingAllocator;
+use std::process::ExitCode;
 
-fn main() {}
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+fn main() -> ExitCode {
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info")).format_target(false).init();
+    match kilogs::cli::main() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            let mut cause = std::error::Error::source(&error);
+            while let Some(inner) = cause {
+                eprintln!("  because: {inner}");
+                cause = inner.source();
+            }
+            ExitCode::from(&error)
+        }
+    }
+}

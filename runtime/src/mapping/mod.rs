@@ -19,7 +19,7 @@ mod viewer;
 
 pub use capacity::MapperCapacity;
 pub use images::MappingImage;
-pub use mapper::{InsertReport, KeyframePacket, MapCounters, Mapper, PacketRefused};
+pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Mapper, PacketRefused};
 pub use optimize::OptimizeReport;
 pub use settings::MapperSettings;
 pub use shrink::mapping_camera;

@@ -101,7 +101,7 @@ pub struct RenderStats {
 ///
 /// Slots are `0..capacities().anchors`; the caller owns their allocation. A slot that was never written, or was
 /// retired, is not drawn. Rows and slots out of range are ignored and counted in the returned number.
-pub trait SplatBackend {
+pub trait SplatBackend: Send {
     /// What was fixed at construction.
     fn capacities(&self) -> &Capacities;
 

@@ -1,0 +1,124 @@
+//! Options that every command which tracks and maps understands.
+
+use crate::budget::Budget;
+use crate::config::ConfigArgs;
+use crate::run_error::RunError;
+use crate::settings::Settings;
+use crate::splat::cpu::SimdLevel;
+use std::path::PathBuf;
+
+/// Options shared by `demo`, `replay` and `run`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CommonArgs {
+    /// Settings file and single settings.
+    #[command(flatten)]
+    pub config: ConfigArgs,
+    /// Memory budget file, or the name of a built-in profile.
+    #[arg(long, value_name = "FILE")]
+    pub budget: Option<PathBuf>,
+    /// What computes the map. `auto` never picks a software Vulkan device.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
+    pub backend: BackendChoice,
+    /// Number of the compute device, as `kilogs doctor` lists them.
+    #[arg(long, value_name = "N")]
+    pub device: Option<u32>,
+    /// Instruction set of the CPU kernels.
+    #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
+    pub simd: SimdChoice,
+    /// Threads of the mapper; all cores by default, all but one with a live camera.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+    /// Seed of everything random.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub seed: u64,
+}
+
+/// What computes the map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum BackendChoice {
+    /// The best one that is there.
+    Auto,
+    /// This processor.
+    Cpu,
+    /// A Vulkan device.
+    Vulkan,
+    /// A device through wgpu.
+    Wgpu,
+}
+
+/// Instruction set of the CPU kernels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum SimdChoice {
+    /// The widest this processor has.
+    Auto,
+    /// AVX-512.
+    Avx512,
+    /// AVX2 with FMA.
+    Avx2,
+    /// NEON.
+    Neon,
+    /// What every processor of the architecture has.
+    Baseline,
+}
+
+impl CommonArgs {
+    /// Settings of all layers, checked.
+    ///
+    /// # Errors
+    /// [`RunError::Config`].
+    pub fn settings(&self) -> Result<Settings, RunError> {
+        Ok(crate::config::load(&self.config)?)
+    }
+
+    /// The memory budget.
+    ///
+    /// # Errors
+    /// [`RunError::Budget`].
+    pub fn budget(&self) -> Result<Budget, RunError> {
+        Ok(Budget::load(self.budget.as_deref())?)
+    }
+
+    /// Checks that the asked-for backend exists in this version.
+    ///
+    /// # Errors
+    /// [`RunError::Device`] for a device backend: this version computes on the CPU.
+    pub fn check_backend(&self) -> Result<(), RunError> {
+        let name = match self.backend {
+            BackendChoice::Auto | BackendChoice::Cpu if self.device.is_none() => return Ok(()),
+            BackendChoice::Auto | BackendChoice::Cpu => "--device",
+            BackendChoice::Vulkan => "--backend vulkan",
+            BackendChoice::Wgpu => "--backend wgpu",
+        };
+        Err(RunError::Device(format!(
+            "choosing the compute device: {name} is not available in this version, which computes on the CPU; use --backend cpu"
+        )))
+    }
+
+    /// The instruction set to use.
+    ///
+    /// # Errors
+    /// [`RunError::Device`] when this processor does not have it.
+    pub fn simd(&self) -> Result<SimdLevel, RunError> {
+        let level = match self.simd {
+            SimdChoice::Auto => SimdLevel::best(),
+            SimdChoice::Avx512 => SimdLevel::Avx512,
+            SimdChoice::Avx2 => SimdLevel::Avx2,
+            SimdChoice::Neon => SimdLevel::Neon,
+            SimdChoice::Baseline => SimdLevel::Baseline,
+        };
+        if level.is_available() {
+            return Ok(level);
+        }
+        Err(RunError::Device(format!(
+            "choosing the instruction set: this processor has no {}; use --simd auto",
+            level.name()
+        )))
+    }
+
+    /// Threads of the mapper; a live camera leaves one core to tracking.
+    pub fn n_threads(&self, is_live: bool) -> usize {
+        let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let default = if is_live { cores.saturating_sub(1).max(1) } else { cores };
+        self.threads.map_or(default, usize::from)
+    }
+}

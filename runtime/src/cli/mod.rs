@@ -1,0 +1,109 @@
+//! The command line of `kilogs`.
+
+mod common;
+mod demo;
+mod map_commands;
+mod replay;
+mod run;
+
+pub use common::CommonArgs;
+
+use crate::run_error::RunError;
+use clap::{Parser, Subcommand};
+use kilogs_camera::cli::CameraArgs;
+
+/// Monocular 3D-Gaussian-splatting SLAM for vehicles, inside a memory budget fixed before the start.
+#[derive(Debug, Parser)]
+#[command(name = "kilogs", version, max_term_width = 110)]
+#[command(
+    after_help = "Examples:\n  kilogs demo\n  kilogs replay ../shared/data/kitti04-full --camera kitti --out out/04\n\n\
+    Exit codes: 0 success, 1 run failed, 2 usage, configuration or budget, 3 input, 4 compute device, 5 map store.\n\
+    Logs go to stderr; RUST_LOG=debug shows more."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Drive a built-in simulated street: track it, map it, write all outputs. Needs no GPU, data or network.
+    Demo(demo::DemoArgs),
+    /// Play a recorded sequence through a capture process, track and map it.
+    Replay(replay::ReplayArgs),
+    /// Attach to a live camera service, track and map until Ctrl-C or the end of the stream.
+    Run(run::RunArgs),
+    /// Judge an output folder against ground truth.
+    Eval(kilogs_eval::EvalArgs),
+    /// Render views of a stored map.
+    Render(map_commands::RenderCommand),
+    /// Write a stored map as standard Gaussian-splatting files.
+    Export(map_commands::ExportCommand),
+    /// Print the memory plan.
+    Budget(BudgetCommand),
+    /// Check devices, shared memory, budget and models; each with ok or what to do.
+    Doctor(DoctorCommand),
+    /// The capture process, as `replay` and `demo` start it in a child of their own.
+    #[command(hide = true)]
+    Camera(CameraArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct BudgetCommand {
+    #[command(flatten)]
+    args: crate::budget::BudgetArgs,
+    #[command(flatten)]
+    config: crate::config::ConfigArgs,
+}
+
+#[derive(Debug, clap::Args)]
+struct DoctorCommand {
+    #[command(flatten)]
+    args: crate::doctor::DoctorArgs,
+    #[command(flatten)]
+    config: crate::config::ConfigArgs,
+}
+
+/// Parses the command line and runs its command.
+///
+/// # Errors
+/// [`RunError`] with the exit code in it; usage errors of the parser itself exit at once with code 2.
+pub fn main() -> Result<(), RunError> {
+    let cli = Cli::parse();
+    match &cli.command {
+        Command::Demo(args) => demo::run(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Run(args) => run::run(args),
+        Command::Eval(args) => kilogs_eval::run(args).map_err(|e| RunError::Input(e.to_string())),
+        Command::Render(command) => map_commands::render(command),
+        Command::Export(command) => map_commands::export(command),
+        Command::Budget(command) => {
+            let settings = crate::config::load(&command.config)?;
+            Ok(crate::budget::run(&command.args, settings.mapping.resolution)?)
+        }
+        Command::Doctor(command) => {
+            let settings = crate::config::load(&command.config)?;
+            crate::doctor::run(&command.args, settings.mapping.resolution).map_err(|e| RunError::Run(e.to_string()))
+        }
+        Command::Camera(args) => {
+            let failed =
+                |e: kilogs_camera::cli::CameraError| RunError::Camera { code: e.exit_code(), text: e.to_string() };
+            kilogs_camera::cli::run(args).map_err(failed)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent_and_every_command_shows_an_example() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands().filter(|c| !c.is_hide_set()) {
+            let help = command.clone().render_long_help().to_string();
+            assert!(help.contains("Example"), "{} has no example in its help", command.get_name());
+        }
+    }
+}

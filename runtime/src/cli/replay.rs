@@ -1,0 +1,89 @@
+//! `kilogs replay`: a recorded sequence through a capture process of its own.
+
+use super::CommonArgs;
+use crate::input::CameraChild;
+use crate::pipeline::{self, Pace, RunPlan};
+use crate::run_error::RunError;
+use std::path::PathBuf;
+
+/// Mapping iterations per keyframe in lock-step, unless told otherwise.
+pub const DEFAULT_ITERATIONS: u32 = 20;
+
+/// Options of `kilogs replay`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Examples:\n  kilogs replay ../shared/data/kitti04-full --camera kitti --out out/04\n  \
+    kilogs replay DATASET --camera camera.toml --live --rate 0.5 --out out/live")]
+pub struct ReplayArgs {
+    /// Folder in the layout of KITTI odometry.
+    pub dataset: PathBuf,
+    /// Folder for all outputs.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// camera.toml, or the preset `kitti` (1.65 m over the road, axes aligned; intrinsics from the data set).
+    #[arg(long, value_name = "FILE|kitti")]
+    pub camera: Option<String>,
+    /// Frames per second, where times.txt is missing.
+    #[arg(long)]
+    pub fps: Option<f64>,
+    /// Play at recorded speed and drop what is late, instead of lock-step.
+    #[arg(long, conflicts_with_all = ["deterministic", "iterations"])]
+    pub live: bool,
+    /// With --live: this many times the recorded speed.
+    #[arg(long, default_value_t = 1.0, requires = "live", value_name = "R")]
+    pub rate: f64,
+    /// Lock-step: every frame is processed, with a fixed number of mapping iterations per keyframe. The default.
+    #[arg(long)]
+    pub deterministic: bool,
+    /// Mapping iterations per keyframe in lock-step.
+    #[arg(long, default_value_t = DEFAULT_ITERATIONS, value_name = "N")]
+    pub iterations: u32,
+    /// Leave out this many frames at the beginning.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub start: u64,
+    /// Play at most this many frames.
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// Play this many one-way passes, to and fro, with ten standing frames at each turn.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub ping_pong: u64,
+    /// What all tracking commands share.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`RunError`].
+pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
+    let description = kilogs_camera::source::describe(&args.dataset, args.camera.as_deref(), args.fps)
+        .map_err(|e| RunError::Input(e.to_string()))?;
+    let pace = if args.live { Pace::Live } else { Pace::LockStep { iterations: args.iterations } };
+    let mut plan = RunPlan::new(&args.common, description.format, pace, &args.out)?;
+    plan.may_reverse = args.ping_pong > 1;
+    pipeline::run_with_child(plan, |service| CameraChild::start(camera_arguments(args, service)))
+}
+
+/// Command line of the capture process.
+fn camera_arguments(args: &ReplayArgs, service: &str) -> Vec<String> {
+    let mut words = vec!["camera".to_owned(), "folder".to_owned(), args.dataset.display().to_string()];
+    let mut option = |name: &str, value: String| words.extend([name.to_owned(), value]);
+    option("--service", service.to_owned());
+    option("--start", args.start.to_string());
+    option("--ping-pong", args.ping_pong.to_string());
+    if let Some(camera) = &args.camera {
+        option("--camera", camera.clone());
+    }
+    if let Some(fps) = args.fps {
+        option("--fps", fps.to_string());
+    }
+    if let Some(frames) = args.frames {
+        option("--frames", frames.to_string());
+    }
+    if args.live {
+        option("--rate", args.rate.to_string());
+        words.push("--live".to_owned());
+    }
+    words.push("--quiet".to_owned());
+    words
+}

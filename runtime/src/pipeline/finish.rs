@@ -1,0 +1,162 @@
+//! After the drive: trajectories, the final map judged, the reports.
+
+use super::mapping_thread::MappingSummary;
+use super::memory;
+use super::plan::RunPlan;
+use super::supervisor::Told;
+use crate::budget::{Row, Usage};
+use crate::map_store::MapStoreReader;
+use crate::output::report::{Backend, Mapping, Memory, Report, Time};
+use crate::output::{Picture, RenderedKeyframe, write_html, write_render};
+use crate::render_views::command::RenderError;
+use crate::render_views::{MapQuality, judge_map};
+use crate::run_error::RunError;
+use crate::seal;
+use std::time::Instant;
+
+/// Keyframes whose pictures are written to `renders/`.
+const N_RENDERS: usize = 12;
+
+/// Everything that a drive leaves behind.
+pub struct Concluded {
+    /// What the main thread knows.
+    pub told: Told,
+    /// What mapping did, when it was on.
+    pub mapping: Option<MappingSummary>,
+    /// Start of the run.
+    pub started: Instant,
+}
+
+/// Writes what is written once.
+///
+/// # Errors
+/// [`RunError`], last of all that the camera process failed: everything is written by then.
+pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), RunError> {
+    let Concluded { told, mapping, started } = drive;
+    let sealed = seal::report();
+    let counts = told.folder.counts();
+    let trajectory = told.folder.finish()?;
+    let (quality, pictures) = match &mapping {
+        Some(_) => judge(plan)?,
+        None => (MapQuality::default(), Vec::new()),
+    };
+    let mut watch = told.watch;
+    watch.read();
+    let (per_frame_ms, tracking_ms) = told.tally.percentiles();
+    let iterations = mapping.map_or(0, |m| m.counters.iterations);
+    let training_s = mapping.map_or(0.0, |m| m.training.as_secs_f64());
+    let report = Report {
+        command: plan.command.clone(),
+        frames: crate::output::report::Frames { refused: told.tally.input().n_refused, ..counts.into() },
+        time: Time {
+            wall_s: Some(started.elapsed().as_secs_f64()),
+            per_frame_ms,
+            tracking_ms,
+            mapping_iterations: iterations,
+            mapping_it_per_s: (training_s > 0.0).then(|| iterations as f64 / training_s),
+        },
+        memory: Memory {
+            rss_peak_bytes: Some(watch.own().peak_bytes),
+            camera_rss_peak_bytes: watch.camera().map(|camera| camera.peak_bytes),
+            sealed_allocations: sealed.sealed_allocations,
+            rss_slope_bytes_per_km: watch.rss_slope_bytes_per_km(),
+            ..Memory::planned(&plan.memory, usage, plan.budget.host_bytes(), plan.budget.device_bytes())
+        },
+        tracking: told.tally.tracking(trajectory.path_length_m),
+        mapping: mapping.map_or_else(Mapping::default, |m| mapping_report(&m, &quality)),
+        backend: Backend {
+            kind: mapping.map(|_| "cpu".to_owned()),
+            device: crate::telemetry::processor_name(),
+            simd: Some(plan.simd.name().to_owned()),
+            threads: plan.n_threads as u64,
+        },
+        ..Report::default()
+    };
+    report.write(&plan.out)?;
+    write_html(&plan.out, &report, told.tally.chart(), &pictures)?;
+    summarize(plan, &report);
+    let n_left_out = mapping.map_or(0, |m| m.n_images_left_out);
+    let n_keyframes_dropped = told.tally.n_keyframes_dropped();
+    if n_left_out + n_keyframes_dropped > 0 {
+        log::warn!(
+            "late: {n_keyframes_dropped} keyframes came while the mapper was busy, {n_left_out} images while the disk was"
+        );
+    }
+    told.camera_failure.map_or(Ok(()), |failure| Err(RunError::Input(failure)))
+}
+
+fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError> {
+    let map = MapStoreReader::open(&plan.out.join("map"), plan.budget.capacity(Row::StoreKeyframeTable))?;
+    let mut backend = memory::backend(plan)?;
+    let every = map.keyframes().len().div_ceil(N_RENDERS).max(1);
+    let (mut n_seen, mut pictures) = (0, Vec::with_capacity(N_RENDERS));
+    let quality = judge_map(&map, backend.as_mut(), &mut |view| {
+        let is_wanted = !view.keyframe.is_held_out && n_seen % every == every / 2;
+        n_seen += usize::from(!view.keyframe.is_held_out);
+        if is_wanted {
+            let rendered = view.render.to_image();
+            let (width, height) = (view.camera.width(), view.camera.height());
+            let camera = Picture { bytes: view.camera.as_raw(), width, height, channels: 3 };
+            let render = Picture { bytes: rendered.as_raw(), width, height, channels: 3 };
+            let keyframe = view.keyframe;
+            let (index, time_ns) = (keyframe.frame_index, keyframe.timestamp_ns);
+            let written = write_render(&plan.out, index, time_ns, view.quality, camera, render);
+            let failed = |e: crate::output::OutputError| RenderError::Write {
+                path: plan.out.join("renders"),
+                reason: e.to_string(),
+            };
+            pictures.push(written.map_err(failed)?);
+        }
+        Ok(())
+    })?;
+    Ok((quality, pictures))
+}
+
+fn mapping_report(mapping: &MappingSummary, quality: &MapQuality) -> Mapping {
+    let counters = &mapping.counters;
+    Mapping {
+        anchors_resident: mapping.anchors_resident,
+        anchors_total: mapping.store.counts.anchors,
+        anchors_refused: counters.refused,
+        gaussians: mapping.store.counts.gaussians,
+        chunks: mapping.store.counts.chunks,
+        pages_written: counters.pages_written,
+        pages_returned: 0,
+        map_bytes: mapping.store.bytes.map_bytes,
+        store_bytes: mapping.store.bytes.store_bytes,
+        psnr_train_db: quality.train.psnr_db(),
+        ssim_train: quality.train.ssim(),
+        psnr_heldout_db: quality.held_out.psnr_db(),
+        ssim_heldout: quality.held_out.ssim(),
+        psnr_worst_100m_db: quality.train.worst_stretch_db(),
+    }
+}
+
+/// The figures that people look for first, on stderr where the log goes.
+fn summarize(plan: &RunPlan, report: &Report) {
+    let frames = &report.frames;
+    log::info!(
+        "{} frames: {} tracked ({} keyframes), {} doubtful, {} lost, {} dropped, {} refused; {:.1} m",
+        frames.received,
+        frames.tracked,
+        frames.keyframes,
+        frames.doubtful,
+        frames.lost,
+        frames.dropped,
+        frames.refused,
+        report.tracking.path_length_m
+    );
+    if let (Some(train), held_out) = (report.mapping.psnr_train_db, report.mapping.psnr_heldout_db) {
+        let held_out = held_out.map_or_else(|| "unknown".to_owned(), |db| format!("{db:.2} dB"));
+        log::info!("map: {} Gaussians, PSNR {train:.2} dB on keyframes, {held_out} held out", report.mapping.gaussians);
+    }
+    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    let rss = report.memory.rss_peak_bytes.unwrap_or(0) + report.memory.camera_rss_peak_bytes.unwrap_or(0);
+    log::info!(
+        "memory: {:.0} of {:.0} MiB, {} sealed allocations; outputs in {}",
+        mib(rss),
+        mib(report.memory.budget_host_bytes),
+        report.memory.sealed_allocations,
+        plan.out.display()
+    );
+}

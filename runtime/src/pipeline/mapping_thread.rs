@@ -1,0 +1,333 @@
+//! The mapping thread: keyframes in, training steps in the time left, pages and images to the store.
+
+use super::memory;
+use super::plan::{Pace, RunPlan};
+use super::queue::{Received, Receiver, Sender, queue};
+use super::tracking_thread::milliseconds;
+use crate::budget::{Row, Usage};
+use crate::input::BorrowedFrame;
+use crate::map_store::{MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
+use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
+use crate::output::{STAGES, Stage, StageTimes};
+use crate::run_error::RunError;
+use crate::seal;
+use kilogs_core::conventions::quaternion_xyzw;
+use kilogs_core::frame::PixelFormat;
+use kilogs_core::store::StoredKeyframe;
+use kilogs_core::tracking::{FrameReport, KeyframePoint, RoadPlane, Tracker};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Live, so many steps per keyframe are enough: a standing vehicle does not train for ever on what it sees.
+const MAX_LIVE_ITERATIONS: u32 = 150;
+/// Keyframes that can be on their way to the mapper when the camera does not wait.
+const LIVE_LINK_CAPACITY: usize = 2;
+/// How long the thread sleeps when there is nothing to train.
+const IDLE_INTERVAL: Duration = Duration::from_millis(100);
+/// Jobs after which nothing is set up any more and the thread is sealed.
+const WARM_UP_JOBS: u64 = 3;
+
+/// A keyframe or held-out view on its way; the same few travel to and fro for the whole run.
+struct Job {
+    report: Option<FrameReport>,
+    is_held_out: bool,
+    pixels: Box<[u8]>,
+    n_bytes: usize,
+    stride_bytes: usize,
+    pixel_format: PixelFormat,
+    points: Vec<KeyframePoint>,
+    road: Option<RoadPlane>,
+    times: StageTimes,
+}
+
+/// The tracking thread's end.
+pub struct MapperLink {
+    jobs: Sender<Box<Job>>,
+    free: Receiver<Box<Job>>,
+    waits: bool,
+    /// In lock-step the job that came home.
+    at_home: Option<Box<Job>>,
+    n_dropped: u64,
+}
+
+/// The mapping thread's end, and everything it owns.
+pub struct MappingWork {
+    mapper: Mapper,
+    store: MapStoreWriter,
+    jobs: Receiver<Box<Job>>,
+    free: Sender<Box<Job>>,
+    pace: Pace,
+    usage: Arc<Usage>,
+    progress: Arc<MappingProgress>,
+    n_images_left_out: u64,
+    n_keyframes_refused: u64,
+    training: Duration,
+}
+
+/// How far mapping is, for whoever looks while it goes on.
+#[derive(Debug, Default)]
+pub struct MappingProgress {
+    /// Anchors in memory.
+    pub anchors_resident: AtomicU64,
+    /// Training steps so far.
+    pub iterations: AtomicU64,
+    /// Pages handed to the store so far, bytes.
+    pub store_bytes: AtomicU64,
+}
+
+/// What mapping did.
+#[derive(Debug, Clone, Copy)]
+pub struct MappingSummary {
+    /// Counts of the mapper.
+    pub counters: MapCounters,
+    /// Anchors in memory when the drive ended.
+    pub anchors_resident: u64,
+    /// The finished store.
+    pub store: StoreSummary,
+    /// Time spent on training steps.
+    pub training: Duration,
+    /// Keyframe images that found the store's queue full.
+    pub n_images_left_out: u64,
+}
+
+/// Takes all memory of mapping; `None` when mapping is switched off.
+///
+/// # Errors
+/// [`RunError`] when the backend or the map folder cannot be set up.
+pub fn prepare(
+    plan: &RunPlan,
+    usage: &Arc<Usage>,
+    progress: &Arc<MappingProgress>,
+) -> Result<Option<(MapperLink, MappingWork)>, RunError> {
+    if !plan.settings.mapping.enabled {
+        return Ok(None);
+    }
+    let mapper = memory::mapper(plan)?;
+    let store = MapStoreWriter::create(&plan.out.join("map"), &memory::manifest(plan), &memory::store_settings(plan))?;
+    let n_jobs = if plan.is_live() { LIVE_LINK_CAPACITY } else { 1 };
+    let (jobs, incoming) = queue(n_jobs);
+    let (back, free) = queue(n_jobs);
+    for _ in 0..n_jobs {
+        let job = Job {
+            report: None,
+            is_held_out: false,
+            pixels: vec![0; plan.frame_bytes()].into(),
+            n_bytes: 0,
+            stride_bytes: 0,
+            pixel_format: plan.pixel_format,
+            points: Vec::with_capacity(plan.budget.capacity(Row::TrackingTracks)),
+            road: None,
+            times: StageTimes::default(),
+        };
+        let pushed = back.push(Box::new(job));
+        debug_assert!(pushed.is_ok(), "the queue has room for every job");
+    }
+    let link = MapperLink { jobs, free, waits: !plan.is_live(), at_home: None, n_dropped: 0 };
+    let work = MappingWork {
+        mapper,
+        store,
+        jobs: incoming,
+        free: back,
+        pace: plan.pace,
+        usage: Arc::clone(usage),
+        progress: Arc::clone(progress),
+        n_images_left_out: 0,
+        n_keyframes_refused: 0,
+        training: Duration::ZERO,
+    };
+    Ok(Some((link, work)))
+}
+
+impl MapperLink {
+    /// Hands a keyframe over; live it is dropped, and counted, when the mapper is busy with two others.
+    pub fn keyframe(
+        &mut self,
+        frame: &BorrowedFrame<'_>,
+        report: &FrameReport,
+        tracker: &Tracker<'_>,
+        times: &mut StageTimes,
+    ) {
+        let Some(mut job) = self.take() else { return };
+        job.is_held_out = false;
+        job.points.clear();
+        let n_points = tracker.keyframe_points().len().min(job.points.capacity());
+        job.points.extend(tracker.keyframe_points().iter().take(n_points).copied());
+        job.road = tracker.road_plane();
+        self.send(job, frame, report, times);
+    }
+
+    /// Hands over a view that is only stored, to judge the map by.
+    pub fn held_out(&mut self, frame: &BorrowedFrame<'_>, report: &FrameReport, times: &mut StageTimes) {
+        let Some(mut job) = self.take() else { return };
+        job.is_held_out = true;
+        self.send(job, frame, report, times);
+    }
+
+    /// Keyframes that found no room.
+    pub fn n_dropped(&self) -> u64 {
+        self.n_dropped
+    }
+
+    fn take(&mut self) -> Option<Box<Job>> {
+        if self.waits {
+            return self.at_home.take().or_else(|| self.free.pop());
+        }
+        match self.free.pop_within(Duration::ZERO) {
+            Received::Element(job) => Some(job),
+            Received::Empty | Received::Closed => {
+                self.n_dropped += 1;
+                None
+            }
+        }
+    }
+
+    fn send(&mut self, mut job: Box<Job>, frame: &BorrowedFrame<'_>, report: &FrameReport, times: &mut StageTimes) {
+        let pixels = frame.pixels();
+        job.n_bytes = pixels.len().min(job.pixels.len());
+        job.pixels[..job.n_bytes].copy_from_slice(&pixels[..job.n_bytes]);
+        job.stride_bytes = frame.header().stride_bytes as usize;
+        job.pixel_format = frame.pixel_format();
+        job.report = Some(*report);
+        job.times = StageTimes::default();
+        if self.jobs.push(job).is_err() {
+            self.n_dropped += 1;
+            return;
+        }
+        if !self.waits {
+            return;
+        }
+        // In lock-step the frame is done when its mapping is.
+        self.at_home = self.free.pop();
+        if let Some(done) = &self.at_home {
+            for (stage, _) in STAGES {
+                times.add(stage, done.times.ms(stage));
+            }
+        }
+    }
+}
+
+impl MappingWork {
+    /// Maps until the tracking thread is done, then hands over all that is left and finishes the store.
+    ///
+    /// # Errors
+    /// [`RunError::Store`] when the map could not be written.
+    pub fn run(mut self) -> Result<MappingSummary, RunError> {
+        let mut sealed = None;
+        let mut n_jobs = 0_u64;
+        let mut n_live_iterations = MAX_LIVE_ITERATIONS;
+        loop {
+            let has_spare_work = self.pace == Pace::Live && n_live_iterations < MAX_LIVE_ITERATIONS;
+            let patience = if has_spare_work { Duration::ZERO } else { IDLE_INTERVAL };
+            match self.jobs.pop_within(patience) {
+                Received::Element(mut job) => {
+                    if self.job(&mut job) {
+                        n_live_iterations = 0;
+                    }
+                    n_jobs += 1;
+                    // The tracking thread is gone only when the run ends: nobody misses the job then.
+                    let _ = self.free.push(job);
+                    if sealed.is_none() && n_jobs >= WARM_UP_JOBS {
+                        sealed = Some(seal::enter());
+                    }
+                }
+                Received::Empty if has_spare_work => {
+                    n_live_iterations += 1;
+                    self.train(1);
+                }
+                Received::Empty => {}
+                Received::Closed => break,
+            }
+        }
+        drop(sealed);
+        self.finish()
+    }
+
+    /// One keyframe or held-out view; whether the map learnt from it.
+    fn job(&mut self, job: &mut Job) -> bool {
+        let Some(report) = job.report else { return false };
+        let started = Instant::now();
+        self.store_view(job, &report);
+        job.times.add(Stage::Store, milliseconds(started.elapsed()));
+        if job.is_held_out {
+            return false;
+        }
+        let started = Instant::now();
+        let packet = KeyframePacket {
+            ordinal: report.keyframe_ordinal,
+            frame_index: report.frame_index,
+            timestamp_ns: report.timestamp_ns,
+            world_from_camera: report.world_from_camera,
+            image: MappingImage {
+                pixels: &job.pixels[..job.n_bytes],
+                stride_bytes: job.stride_bytes,
+                format: job.pixel_format,
+            },
+            points: &job.points,
+            road: job.road,
+        };
+        if let Err(refused) = self.mapper.insert_keyframe(&packet, &mut &self.store) {
+            log::debug!("{refused}");
+            self.n_keyframes_refused += 1;
+            return false;
+        }
+        job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
+        self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
+        self.progress.anchors_resident.store(u64::from(self.mapper.n_resident_anchors()), Ordering::Relaxed);
+        if let Pace::LockStep { iterations } = self.pace {
+            let started = Instant::now();
+            self.train(iterations);
+            job.times.add(Stage::Mapping, milliseconds(started.elapsed()));
+        }
+        true
+    }
+
+    fn train(&mut self, n_iterations: u32) {
+        let started = Instant::now();
+        self.mapper.optimize(n_iterations);
+        self.progress.iterations.fetch_add(u64::from(n_iterations), Ordering::Relaxed);
+        self.training += started.elapsed();
+    }
+
+    fn store_view(&mut self, job: &Job, report: &FrameReport) {
+        let map_from_camera = &report.world_from_camera;
+        let keyframe = StoredKeyframe {
+            keyframe_id: report.keyframe_ordinal,
+            chunk_id: report.keyframe_ordinal / CHUNK_KEYFRAMES,
+            frame_index: report.frame_index,
+            timestamp_ns: report.timestamp_ns,
+            rotation_xyzw: quaternion_xyzw(&map_from_camera.rotation),
+            translation_m: map_from_camera.translation.vector.into(),
+            scale: 1.0,
+            is_held_out: job.is_held_out,
+            image_bytes: 0,
+            image_crc: 0,
+        };
+        let image = StoreImage { pixels: &job.pixels[..job.n_bytes], stride_bytes: job.stride_bytes };
+        if self.store.write_keyframe(&keyframe, image) == Err(WriteRefusal::Busy) {
+            self.n_images_left_out += 1;
+            self.usage.refuse(Row::StoreImageQueue, 1);
+            // A held-out view without its image judges nothing; a keyframe is needed by its anchors.
+            if !job.is_held_out && self.store.place_keyframe(&keyframe).is_err() {
+                log::warn!("keyframe {} could not be logged: the disk is too slow", keyframe.keyframe_id);
+            }
+        }
+    }
+
+    fn finish(mut self) -> Result<MappingSummary, RunError> {
+        let anchors_resident = u64::from(self.mapper.n_resident_anchors());
+        while !self.mapper.finish(&mut &self.store) {
+            // The disk is behind; a stopped store says so when it is finished.
+            if self.store.flush().is_err() {
+                break;
+            }
+        }
+        let counters = self.mapper.counters();
+        self.usage.refuse(Row::MapAnchors, counters.refused as usize);
+        // The mapper's memory is needed for judging the map.
+        drop(self.mapper);
+        let store = self.store.finish()?;
+        let (training, n_images_left_out) = (self.training, self.n_images_left_out);
+        Ok(MappingSummary { counters, anchors_resident, store, training, n_images_left_out })
+    }
+}

@@ -1,0 +1,45 @@
+//! A run from its first frame to its report.
+//!
+//! ```text
+//! tracking thread (sealed)   input -> tracker -> odometry      never waits for mapping or the disk when live
+//!        | keyframes              | one record per frame
+//! mapping thread (sealed)         |                            trains in the time left; hands pages to the store
+//!        | pages, images          |
+//! map-store thread           this thread                       files, memory watch, health, progress, Ctrl-C
+//! ```
+
+mod finish;
+mod mapping_thread;
+mod memory;
+mod odometry;
+mod plan;
+mod queue;
+mod record;
+mod supervisor;
+mod tally;
+mod tracking_thread;
+
+pub use plan::{Pace, RunPlan};
+
+use crate::input::{CameraChild, InputError};
+use crate::run_error::RunError;
+
+/// Runs with a capture process of its own; `start` starts it on the service name that it is given.
+///
+/// # Errors
+/// [`RunError`]; what was tracked and mapped until then is written all the same.
+pub fn run_with_child(
+    plan: RunPlan,
+    start: impl FnOnce(&str) -> Result<CameraChild, InputError>,
+) -> Result<(), RunError> {
+    let service = crate::input::unique_service_name("replay");
+    supervisor::supervise(&plan, &service, || start(&service).map(Some))
+}
+
+/// Runs on a camera that other people start and stop.
+///
+/// # Errors
+/// [`RunError`].
+pub fn run_attached(plan: RunPlan, service: &str) -> Result<(), RunError> {
+    supervisor::supervise(&plan, service, || Ok(None))
+}

@@ -1,0 +1,69 @@
+//! The odometry that robots read while the vehicle drives.
+
+use crate::output::OdometryPublisher;
+use crate::run_error::RunError;
+use kilogs_camera::ipc::OdometryMessage;
+use kilogs_core::conventions::{Rigid, TimestampNs, quaternion_xyzw};
+use kilogs_core::tracking::{FrameReport, FrameStatus};
+
+const NS_PER_S: f64 = 1e9;
+
+/// Publishes one message per frame.
+pub struct OdometryStream {
+    publisher: OdometryPublisher,
+    before: Option<(TimestampNs, Rigid)>,
+}
+
+impl OdometryStream {
+    /// Opens `kilogs/odometry`.
+    ///
+    /// # Errors
+    /// [`RunError::Input`] when the shared memory cannot be used.
+    pub fn open() -> Result<Self, RunError> {
+        let publisher = OdometryPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
+        Ok(Self { publisher, before: None })
+    }
+
+    /// Publishes a frame. A message that cannot be sent is a loss for the reader, not for the run.
+    pub fn publish(&mut self, report: &FrameReport) {
+        let message = self.message(report);
+        self.before = Some((report.timestamp_ns, report.world_from_camera));
+        if let Err(problem) = self.publisher.publish(&message) {
+            log::debug!("{problem}");
+        }
+    }
+
+    fn message(&self, report: &FrameReport) -> OdometryMessage {
+        let odometry_from_camera = &report.world_from_camera;
+        let velocity_in_camera_m_per_s = match &self.before {
+            Some((before_ns, odometry_from_before)) if report.timestamp_ns > *before_ns => {
+                let passed_s = (report.timestamp_ns - before_ns) as f64 / NS_PER_S;
+                let camera_from_before = odometry_from_camera.inverse() * odometry_from_before;
+                (-camera_from_before.translation.vector / passed_s).into()
+            }
+            _ => [0.0; 3],
+        };
+        OdometryMessage {
+            sequence: report.frame_index,
+            timestamp_ns: report.timestamp_ns,
+            status: match report.status {
+                FrameStatus::Tracked => 0,
+                FrameStatus::Doubtful => 1,
+                FrameStatus::Lost => 2,
+            },
+            is_keyframe: u32::from(report.is_keyframe),
+            odometry_from_camera_m: odometry_from_camera.translation.vector.into(),
+            odometry_from_camera_xyzw: quaternion_xyzw(&odometry_from_camera.rotation),
+            map_from_odometry_m: [0.0; 3],
+            map_from_odometry_xyzw: [0.0, 0.0, 0.0, 1.0],
+            map_from_odometry_scale: 1.0,
+            velocity_in_camera_m_per_s,
+            covariance: covariance(report),
+        }
+    }
+}
+
+/// Row-major covariance of `odometry_from_camera` in tangent order; NaN where the tracker does not say.
+fn covariance(_report: &FrameReport) -> [f64; 36] {
+    [f64::NAN; 36]
+}

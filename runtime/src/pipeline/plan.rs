@@ -1,0 +1,121 @@
+//! What a run is going to do, checked before anything is started.
+
+use crate::budget::{Budget, Plan, PlanInput};
+use crate::cli::CommonArgs;
+use crate::input::ServiceFormat;
+use crate::run_error::RunError;
+use crate::settings::Settings;
+use crate::splat::cpu::SimdLevel;
+use kilogs_camera::source::{PixelFormat, SourceFormat};
+use kilogs_core::camera::{Mounting, Pinhole};
+use std::path::{Path, PathBuf};
+
+/// Who sets the pace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pace {
+    /// Every frame is processed and every keyframe trained for a fixed number of steps: same input, same bytes.
+    LockStep {
+        /// Training steps per keyframe.
+        iterations: u32,
+    },
+    /// The camera does; what is late is dropped and counted.
+    Live,
+}
+
+/// What a run is going to do.
+#[derive(Debug, Clone)]
+pub struct RunPlan {
+    /// Settings of all layers.
+    pub settings: Settings,
+    /// Capacities.
+    pub budget: Budget,
+    /// What the capacities cost with this camera.
+    pub memory: Plan,
+    /// Size and intrinsics.
+    pub camera: Pinhole,
+    /// How the camera sits on the vehicle.
+    pub mounting: Mounting,
+    /// What the pixels will be, or the most expensive they may be.
+    pub pixel_format: PixelFormat,
+    /// Frames that will come, where that is known.
+    pub n_frames: Option<u64>,
+    /// Who sets the pace.
+    pub pace: Pace,
+    /// The vehicle may drive backwards.
+    pub may_reverse: bool,
+    /// Folder for all outputs.
+    pub out: PathBuf,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Instruction set of the CPU kernels.
+    pub simd: SimdLevel,
+    /// Threads of the mapper.
+    pub n_threads: usize,
+    /// The command line as typed, for the report.
+    pub command: String,
+}
+
+impl RunPlan {
+    /// Reads settings and budget and makes sure that the run fits.
+    ///
+    /// # Errors
+    /// [`RunError`] of configuration, budget, device or usage.
+    pub fn new(args: &CommonArgs, format: SourceFormat, pace: Pace, out: &Path) -> Result<Self, RunError> {
+        args.check_backend()?;
+        let settings = args.settings()?;
+        let budget = args.budget()?;
+        let simd = args.simd()?;
+        let mounting = format.mounting.ok_or_else(|| {
+            RunError::Usage(
+                "planning the run: the camera's height over the road is unknown, and with it the scale; \
+                 give --camera kitti, or a camera.toml with height_m"
+                    .to_owned(),
+            )
+        })?;
+        let memory = Plan::compute(&budget, &plan_input(&format, settings.mapping.resolution));
+        memory.check()?;
+        let command = std::env::args().collect::<Vec<_>>().join(" ");
+        Ok(Self {
+            settings,
+            budget,
+            memory,
+            camera: format.camera,
+            mounting,
+            pixel_format: format.pixel_format,
+            n_frames: format.n_frames,
+            pace,
+            may_reverse: false,
+            out: out.to_owned(),
+            seed: args.seed,
+            simd,
+            n_threads: args.n_threads(pace == Pace::Live),
+            command,
+        })
+    }
+
+    /// Frames come at the camera's pace.
+    pub fn is_live(&self) -> bool {
+        self.pace == Pace::Live
+    }
+
+    /// Bytes of one frame on the wire.
+    pub fn frame_bytes(&self) -> usize {
+        self.pixel_format.packed_bytes(self.camera.width, self.camera.height) as usize
+    }
+
+    /// What every frame must look like.
+    pub fn service_format(&self) -> ServiceFormat {
+        ServiceFormat { width: self.camera.width, height: self.camera.height, pixel_format: None }
+    }
+}
+
+fn plan_input(format: &SourceFormat, mapping_resolution: f64) -> PlanInput {
+    PlanInput {
+        width: format.camera.width,
+        height: format.camera.height,
+        frame_bytes: format.frame_bytes(),
+        color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
+        mapping_resolution,
+        device_has_own_memory: false,
+    }
+}

@@ -1,0 +1,301 @@
+//! The main thread during a run: starts the others, writes what they tell, watches memory and camera.
+
+use super::finish::{self, Concluded};
+use super::mapping_thread::{self, MappingProgress, MappingSummary};
+use super::memory;
+use super::plan::RunPlan;
+use super::queue::{self, Received, Receiver};
+use super::record::Record;
+use super::tally::Tally;
+use super::tracking_thread::TrackingThread;
+use crate::budget::{Row, Usage};
+use crate::input::{CameraChild, CameraState, FrameSlots, InputError, InputSettings};
+use crate::output::{HealthPublisher, OutputFolder};
+use crate::run_error::RunError;
+use crate::seal;
+use crate::telemetry::MemoryWatch;
+use indicatif::{ProgressBar, ProgressStyle};
+use kilogs_camera::ipc::HealthMessage;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::ScopedJoinHandle;
+use std::time::{Duration, Instant};
+
+/// How long the thread waits for records before it looks after everything else.
+const LOOK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// How long the camera child may take to end by itself.
+const END_PATIENCE: Duration = Duration::from_secs(2);
+
+/// Runs everything and writes everything.
+///
+/// # Errors
+/// [`RunError`]; the outputs of what was done until then are complete.
+pub fn supervise(
+    plan: &RunPlan,
+    service: &str,
+    start_camera: impl FnOnce() -> Result<Option<CameraChild>, InputError>,
+) -> Result<(), RunError> {
+    let started = Instant::now();
+    let folder = OutputFolder::create(&plan.out)?;
+    let usage = Arc::new(Usage::default());
+    let stop = Arc::new(AtomicBool::new(false));
+    let stop_on_signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || stop_on_signal.store(true, Ordering::Relaxed))
+        .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
+
+    let (records, incoming) = queue::queue(plan.budget.capacity(Row::TelemetryFrameRecords));
+    let tracker = memory::tracker(plan)?;
+    let progress = Arc::new(MappingProgress::default());
+    let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
+    let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
+    let input =
+        InputSettings { service: service.to_owned(), format: plan.service_format(), slots: FrameSlots::DEFAULT };
+    let tracking = TrackingThread { plan, input, tracker, mapper: mapper_link, records, stop: &stop };
+
+    let (told, tracked, mapped) = std::thread::scope(|scope| {
+        let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
+        let tracking = thread("tracking").spawn_scoped(scope, || tracking.run()).map_err(spawn_failed)?;
+        let mapping = mapping_work
+            .map(|work| thread("mapping").spawn_scoped(scope, || work.run()))
+            .transpose()
+            .map_err(spawn_failed)?;
+        let child = start_camera().inspect_err(|_| stop.store(true, Ordering::Relaxed));
+        let child = child.map_err(|e| RunError::Input(e.to_string()))?;
+        let shared = Shared { plan, stop: &stop, usage: &usage, progress: &progress, started };
+        let told = Supervisor::new(&shared, folder, child)?.run(&incoming);
+        if told.is_err() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        drop(incoming);
+        Ok::<_, RunError>((told, join(tracking, "tracking"), mapping.map(|thread| join(thread, "mapping"))))
+    })?;
+    let told = told?;
+    tracked?;
+    let mapping: Option<MappingSummary> = mapped.transpose()?;
+    finish::conclude(plan, &usage, Concluded { told, mapping, started })
+}
+
+fn thread(name: &str) -> std::thread::Builder {
+    std::thread::Builder::new().name(name.to_owned())
+}
+
+fn join<T>(thread: ScopedJoinHandle<'_, Result<T, RunError>>, name: &str) -> Result<T, RunError> {
+    thread.join().unwrap_or_else(|_| {
+        Err(RunError::Run(format!("the {name} thread ended unexpectedly; please report the message above")))
+    })
+}
+
+/// What the main thread knows when the drive is over.
+pub struct Told {
+    /// Files of the run.
+    pub folder: OutputFolder,
+    /// Figures for the report.
+    pub tally: Tally,
+    /// Resident sizes.
+    pub watch: MemoryWatch,
+    /// Why the camera process failed, if it did.
+    pub camera_failure: Option<String>,
+}
+
+/// What all threads of a run see.
+#[derive(Clone, Copy)]
+struct Shared<'run> {
+    plan: &'run RunPlan,
+    stop: &'run AtomicBool,
+    usage: &'run Usage,
+    progress: &'run MappingProgress,
+    started: Instant,
+}
+
+struct Supervisor<'run> {
+    plan: &'run RunPlan,
+    folder: OutputFolder,
+    child: Option<CameraChild>,
+    stop: &'run AtomicBool,
+    tally: Tally,
+    watch: MemoryWatch,
+    health: HealthPublisher,
+    bar: ProgressBar,
+    usage: &'run Usage,
+    progress: &'run MappingProgress,
+    started: Instant,
+    next_index: u64,
+    n_refused: u64,
+    camera_state: CameraState,
+    n_restarts: u32,
+    is_silence_told: bool,
+}
+
+impl<'run> Supervisor<'run> {
+    fn new(shared: &Shared<'run>, folder: OutputFolder, child: Option<CameraChild>) -> Result<Self, RunError> {
+        let Shared { plan, stop, usage, progress, started } = *shared;
+        let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
+        let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
+        let bar = progress_bar(plan.n_frames);
+        let tally = Tally::default();
+        Ok(Self {
+            plan,
+            folder,
+            child,
+            stop,
+            tally,
+            watch,
+            health,
+            bar,
+            usage,
+            progress,
+            started,
+            next_index: 0,
+            n_refused: 0,
+            camera_state: CameraState::NeverCame,
+            n_restarts: 0,
+            is_silence_told: false,
+        })
+    }
+
+    fn run(mut self, incoming: &Receiver<Record>) -> Result<Told, RunError> {
+        loop {
+            match incoming.pop_within(LOOK_INTERVAL) {
+                Received::Element(Record::End { input, n_frame_indices, n_keyframes_dropped }) => {
+                    self.missing_until(n_frame_indices)?;
+                    self.tally.end(input, n_keyframes_dropped);
+                    break;
+                }
+                Received::Element(record) => self.record(&record)?,
+                Received::Empty => {}
+                Received::Closed => break,
+            }
+            if self.watch.sample(Instant::now(), self.tally.odometry_length_m()) {
+                self.publish_health();
+            }
+        }
+        self.watch.read();
+        self.bar.finish_and_clear();
+        let camera_failure = self.child.as_mut().and_then(camera_failure);
+        Ok(Told { folder: self.folder, tally: self.tally, watch: self.watch, camera_failure })
+    }
+
+    fn record(&mut self, record: &Record) -> Result<(), RunError> {
+        match record {
+            Record::Frame { report, times } => {
+                self.missing_until(report.frame_index)?;
+                self.next_index = report.frame_index + 1;
+                self.folder.frame(report, times)?;
+                self.tally.frame(report, times, self.watch.own().rss_bytes);
+                self.bar.set_position(self.next_index);
+                self.is_silence_told = false;
+                self.camera_state = CameraState::Sending;
+            }
+            Record::Refused(verdict) => {
+                self.n_refused += 1;
+                log::warn!("a camera message was refused: {verdict}");
+            }
+            Record::CameraCame { is_first } => self.camera_came(*is_first),
+            Record::CameraGone { silent_for } => self.camera_gone(*silent_for),
+            Record::CameraSilent => self.camera_silent(),
+            Record::End { .. } => {}
+        }
+        Ok(())
+    }
+
+    /// Frames that never reached the tracker.
+    fn missing_until(&mut self, frame_index: u64) -> Result<(), RunError> {
+        for missing in self.next_index..frame_index {
+            self.folder.dropped(missing, None)?;
+        }
+        self.next_index = self.next_index.max(frame_index);
+        Ok(())
+    }
+
+    fn publish_health(&mut self) {
+        let counts = self.folder.counts();
+        let (_, tracking_ms) = self.tally.percentiles();
+        let percentile = |ms: Option<f64>| ms.map_or(f32::NAN, |ms| ms as f32);
+        let seconds = self.started.elapsed().as_secs_f64();
+        let progress = &self.progress;
+        let message = HealthMessage {
+            uptime_s: seconds,
+            rss_bytes: self.watch.own().rss_bytes,
+            rss_peak_bytes: self.watch.own().peak_bytes,
+            budget_host_bytes: self.plan.budget.host_bytes(),
+            device_bytes: 0,
+            ipc_bytes: self.plan.memory.ipc_bytes(),
+            store_bytes: progress.store_bytes.load(Ordering::Relaxed),
+            frames_received: counts.received(),
+            frames_tracked: counts.tracked,
+            frames_doubtful: counts.doubtful,
+            frames_lost: counts.lost,
+            frames_dropped: counts.dropped,
+            frames_refused: self.n_refused,
+            frames_missing: counts.dropped,
+            sealed_allocations: seal::report().sealed_allocations,
+            refusals: self.usage.refused_in_all(),
+            anchors_resident: progress.anchors_resident.load(Ordering::Relaxed),
+            tracking_p50_ms: percentile(tracking_ms.p50),
+            tracking_p95_ms: percentile(tracking_ms.p95),
+            tracking_max_ms: percentile(tracking_ms.max),
+            mapping_it_per_s: (progress.iterations.load(Ordering::Relaxed) as f64 / seconds) as f32,
+            camera_state: self.camera_state as u32,
+            camera_restarts: self.n_restarts,
+        };
+        // A message that cannot be sent is a loss for the reader, not for the run.
+        if let Err(problem) = self.health.publish(&message) {
+            log::debug!("{problem}");
+        }
+    }
+
+    fn camera_came(&mut self, is_first: bool) {
+        self.camera_state = CameraState::Silent;
+        if is_first {
+            log::info!("the camera is there");
+        } else {
+            self.n_restarts += 1;
+            log::info!("the camera is back; going on");
+        }
+    }
+
+    fn camera_gone(&mut self, silent_for: Duration) {
+        self.camera_state = CameraState::Gone;
+        if self.child.is_some() {
+            // Our own child does not come back; its message stands above.
+            self.stop.store(true, Ordering::Relaxed);
+            return;
+        }
+        let silent_s = silent_for.as_secs_f64();
+        log::warn!(
+            "the camera process is gone, last frame {silent_s:.1} s ago; waiting for it to be started again (Ctrl-C ends the run)"
+        );
+    }
+
+    fn camera_silent(&mut self) {
+        let has_failed = self.child.as_mut().is_some_and(|child| child.exit_status().is_some());
+        if has_failed {
+            self.stop.store(true, Ordering::Relaxed);
+        } else if !self.is_silence_told && self.child.is_none() {
+            log::info!("waiting for camera frames (Ctrl-C ends the run)");
+            self.is_silence_told = true;
+        }
+    }
+}
+
+/// Why the camera child failed; it has ended or is about to.
+fn camera_failure(child: &mut CameraChild) -> Option<String> {
+    match child.wait(END_PATIENCE) {
+        Some(status) if status.success() => None,
+        Some(status) => Some(format!("the camera process failed ({status}); its message stands above")),
+        // It is still there because the run was stopped, not because of a fault of its own.
+        None => None,
+    }
+}
+
+fn progress_bar(n_frames: Option<u64>) -> ProgressBar {
+    let (bar, template) = match n_frames {
+        Some(n_frames) => (ProgressBar::new(n_frames), "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left"),
+        None => (ProgressBar::new_spinner(), "{spinner} {pos} frames, {per_sec}"),
+    };
+    match ProgressStyle::with_template(template) {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}

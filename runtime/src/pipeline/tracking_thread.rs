@@ -1,0 +1,171 @@
+//! The tracking thread: from the shared memory to a pose, every frame, without taking memory.
+
+use super::mapping_thread::MapperLink;
+use super::odometry::OdometryStream;
+use super::plan::RunPlan;
+use super::queue::Sender;
+use super::record::Record;
+use crate::input::{BorrowedFrame, FrameInput, InputEvent, InputSettings};
+use crate::map_store::HeldOutRule;
+use crate::output::{Stage, StageTimes};
+use crate::run_error::RunError;
+use crate::seal;
+use kilogs_core::frame::{ImageView, PixelFormat, gray};
+use kilogs_core::tracking::{FrameReport, FrameStatus, Tracker};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long the thread waits before it looks whether it was told to stop.
+const LOOK_INTERVAL: Duration = Duration::from_millis(100);
+/// Frames after which nothing is set up any more and the thread is sealed.
+const WARM_UP_FRAMES: u64 = 3;
+
+/// Everything that the thread owns.
+pub struct TrackingThread<'run> {
+    /// What the run does.
+    pub plan: &'run RunPlan,
+    /// What to listen to.
+    pub input: InputSettings,
+    /// The calculator, on memory taken at the start.
+    pub tracker: Tracker<'static>,
+    /// Where keyframes go.
+    pub mapper: Option<MapperLink>,
+    /// Where records go.
+    pub records: Sender<Record>,
+    /// Set when the run shall end.
+    pub stop: &'run AtomicBool,
+}
+
+/// What changes from frame to frame.
+struct State {
+    gray: Vec<u8>,
+    held_out: HeldOutRule,
+    n_keyframes: u32,
+    n_frames: u64,
+    first_index: u64,
+    next_index: u64,
+    odometry: OdometryStream,
+}
+
+impl TrackingThread<'_> {
+    /// Tracks until the stream ends or the run is stopped.
+    ///
+    /// # Errors
+    /// [`RunError::Input`] when the shared memory breaks down.
+    pub fn run(mut self) -> Result<(), RunError> {
+        let failed = |e: crate::input::InputError| RunError::Input(e.to_string());
+        let mut input = FrameInput::open(&self.input).map_err(failed)?;
+        let mut state = State {
+            gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
+            held_out: HeldOutRule::default(),
+            n_keyframes: 0,
+            n_frames: 0,
+            first_index: 0,
+            next_index: 0,
+            odometry: OdometryStream::open()?,
+        };
+        let mut sealed = None;
+        let mut waiting_since = Instant::now();
+        while !self.stop.load(Ordering::Relaxed) {
+            if sealed.is_none() && state.n_frames >= WARM_UP_FRAMES {
+                sealed = Some(seal::enter());
+            }
+            match input.wait(LOOK_INTERVAL).map_err(failed)? {
+                InputEvent::Frame(frame) => {
+                    self.frame(&frame, &mut state, waiting_since.elapsed());
+                    drop(frame);
+                    waiting_since = Instant::now();
+                }
+                InputEvent::Refused(verdict) => self.tell(Record::Refused(verdict)),
+                InputEvent::CameraCame { is_first } => {
+                    // A new process counts from zero; ours go on.
+                    state.first_index = state.next_index;
+                    self.tell(Record::CameraCame { is_first });
+                }
+                InputEvent::CameraGone { silent_for } => self.tell(Record::CameraGone { silent_for }),
+                InputEvent::Timeout(_) => self.tell(Record::CameraSilent),
+                InputEvent::End => break,
+            }
+        }
+        drop(sealed);
+        let counts = input.counts();
+        let n_keyframes_dropped = self.mapper.as_ref().map_or(0, MapperLink::n_dropped);
+        let n_frame_indices = state.next_index.max(counts.n_received + counts.n_missing);
+        // The last record is worth waiting for.
+        let end = Record::End { input: counts, n_frame_indices, n_keyframes_dropped };
+        self.records
+            .push(end)
+            .map_err(|_| RunError::Run("handing over the last record: the main thread is gone".to_owned()))
+    }
+
+    /// One frame; the slot of shared memory is borrowed until this returns.
+    fn frame(&mut self, frame: &BorrowedFrame<'_>, state: &mut State, waited: Duration) {
+        let mut times = StageTimes::default();
+        times.add(Stage::Input, milliseconds(waited));
+        let frame_index = state.first_index + frame.header().sequence;
+        state.next_index = frame_index + 1;
+        state.n_frames += 1;
+        let started = Instant::now();
+        let Some(image) = gray_view(frame, &mut state.gray) else { return };
+        let report = self.tracker.step(image, frame_index, frame.timestamp_ns());
+        times.add(Stage::Tracking, milliseconds(started.elapsed()));
+        state.n_keyframes += u32::from(report.is_keyframe);
+        state.odometry.publish(&report);
+        self.hand_to_mapper(frame, &report, state, &mut times);
+        self.tell(Record::Frame { report, times });
+    }
+
+    fn hand_to_mapper(
+        &mut self,
+        frame: &BorrowedFrame<'_>,
+        report: &FrameReport,
+        state: &mut State,
+        times: &mut StageTimes,
+    ) {
+        let Some(link) = &mut self.mapper else { return };
+        if report.status != FrameStatus::Tracked {
+            return;
+        }
+        let is_held_out = state.held_out.admits(report.frame_index, state.n_keyframes);
+        if is_held_out {
+            link.held_out(frame, report, times);
+        } else if report.is_keyframe && !crate::map_store::is_held_out_frame(report.frame_index) {
+            link.keyframe(frame, report, &self.tracker, times);
+        }
+    }
+
+    /// Live, a record that finds no room is lost and shows as a dropped frame; in lock-step it waits.
+    fn tell(&self, record: Record) {
+        let told = if self.plan.is_live() { self.records.try_push(record) } else { self.records.push(record) };
+        if told.is_err() {
+            log::debug!("a record found no room");
+        }
+    }
+}
+
+/// The frame as grey pixels: where it lies if it is grey already, otherwise converted into `buffer`.
+fn gray_view<'a>(frame: &'a BorrowedFrame<'_>, buffer: &'a mut [u8]) -> Option<ImageView<'a>> {
+    if frame.pixel_format() == PixelFormat::Mono8 {
+        return frame.grey().ok();
+    }
+    let header = frame.header();
+    let (width, height) = (header.width as usize, header.height as usize);
+    let (format, pixels) = (frame.pixel_format(), frame.pixels());
+    let row_bytes = gray::frame_bytes(format, width, 1);
+    match row_bytes {
+        // Rows with padding behind them are converted one by one.
+        Some(row_bytes) if row_bytes != header.stride_bytes as usize && format != PixelFormat::BayerRggb8 => {
+            let rows = pixels.chunks(header.stride_bytes as usize).zip(buffer.chunks_exact_mut(width));
+            for (row, gray_row) in rows {
+                gray::to_gray(format, row.get(..row_bytes)?, width, 1, gray_row).ok()?;
+            }
+        }
+        _ => gray::to_gray(format, pixels, width, height, buffer).ok()?,
+    }
+    ImageView::new(buffer, width, height, width).ok()
+}
+
+/// A duration as it is reported.
+pub fn milliseconds(duration: Duration) -> f32 {
+    duration.as_secs_f32() * 1e3
+}
