@@ -63,9 +63,9 @@ const fn number(key: &'static str, range: Range) -> Setting {
 /// Every setting, in the order of `default.toml`.
 pub(super) const SETTINGS: &[Setting] = &[
     choice("tracking.pose_models", &["both", "essential", "pnp"], &[]),
-    choice("tracking.dynamic_filter", &["off", "paper"], &["region"]),
+    choice("tracking.dynamic_filter", &["off", "paper", "region"], &[]),
     choice("tracking.dense_fallback", &["off"], &["on"]),
-    choice("tracking.bundle_adjustment", &["off"], &["on"]),
+    choice("tracking.bundle_adjustment", &["off", "on"], &[]),
     choice("tracking.matcher", &["classical"], &["xfeat", "disk"]),
     switch("mapping.enabled", None),
     number("mapping.resolution", Range::closed(0.125, 1.0)),

@@ -21,11 +21,11 @@ fn the_defaults_are_valid_and_the_command_line_beats_the_file() {
         assert_eq!((found.tracking.dynamic_filter, found.mapping.resolution), expected, "{file:?} {set:?}");
     };
     let file = "[tracking]\ndynamic_filter = \"off\"\n[mapping]\nresolution = 1\n";
-    check(None, &[], (DynamicFilter::Paper, 0.5));
+    check(None, &[], (DynamicFilter::Region, 0.5));
     check(Some(file), &[], (DynamicFilter::Off, 1.0));
     check(Some(file), &["tracking.dynamic_filter=paper"], (DynamicFilter::Paper, 1.0));
     check(Some(file), &["mapping.resolution = 0.25"], (DynamicFilter::Off, 0.25));
-    check(None, &["mapping.resolution=0.25", "mapping.resolution=1"], (DynamicFilter::Paper, 1.0));
+    check(None, &["mapping.resolution=0.25", "mapping.resolution=1"], (DynamicFilter::Region, 1.0));
     check(None, &["tracking.dynamic_filter=\"off\""], (DynamicFilter::Off, 0.5));
     assert_eq!(
         settings(None, &["tracking.pose_models=pnp"]).map(|s| s.tracking.pose_models).ok(),
