@@ -193,4 +193,6 @@ impl<'m> PageWalk<'m> {
 }
 
 #[cfg(test)]
+mod picture_tests;
+#[cfg(test)]
 mod tests;

@@ -24,10 +24,10 @@ fn gaussian(opacity_logit: f32) -> GaussianParams {
     }
 }
 
-/// Three pages of one keyframe each, 10 m apart, with two Gaussians 5 m ahead; one of the second page is not finite.
-fn write_map(folder: &Path) {
+/// An empty store with room for two Gaussians per anchor.
+pub(super) fn create_store(folder: &Path, camera: Pinhole, page_bytes: usize) -> MapStoreWriter {
     let manifest = Manifest {
-        camera: Pinhole { width: 16, height: 8, fx: 10.0, fy: 10.0, cx: 8.0, cy: 4.0 },
+        camera,
         mounting: None,
         pixel_format: PixelFormat::Mono8,
         voxel_m: [1.0; MAX_LEVELS],
@@ -35,23 +35,33 @@ fn write_map(folder: &Path) {
         gaussians_per_anchor: 2,
         counts: None,
     };
-    let capacity = StoreCapacity { page_bytes: 1024, page_buffers: 1, image_buffers: 1 };
+    let capacity = StoreCapacity { page_bytes, page_buffers: 1, image_buffers: 1 };
     let settings = StoreSettings { capacity, jpeg_quality: 90, when_busy: WhenBusy::Wait };
-    let store = MapStoreWriter::create(folder, &manifest, &settings).expect("a new store");
+    MapStoreWriter::create(folder, &manifest, &settings).expect("a new store")
+}
+
+/// A keyframe 10 m behind the next one, looking along the road.
+pub(super) fn keyframe(id: u32) -> StoredKeyframe {
+    StoredKeyframe {
+        keyframe_id: id,
+        chunk_id: 0,
+        frame_index: u64::from(id),
+        timestamp_ns: 0,
+        rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+        translation_m: [0.0, 0.0, 10.0 * f64::from(id)],
+        scale: 1.0,
+        is_held_out: false,
+        image_bytes: 0,
+        image_crc: 0,
+    }
+}
+
+/// Three pages of one keyframe each, 10 m apart, with two Gaussians 5 m ahead; one of the second page is not finite.
+fn write_map(folder: &Path) {
+    let camera = Pinhole { width: 16, height: 8, fx: 10.0, fy: 10.0, cx: 8.0, cy: 4.0 };
+    let store = create_store(folder, camera, 1024);
     for id in 0..3 {
-        let keyframe = StoredKeyframe {
-            keyframe_id: id,
-            chunk_id: 0,
-            frame_index: u64::from(id),
-            timestamp_ns: 0,
-            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
-            translation_m: [0.0, 0.0, 10.0 * f64::from(id)],
-            scale: 1.0,
-            is_held_out: false,
-            image_bytes: 0,
-            image_crc: 0,
-        };
-        store.place_keyframe(&keyframe).expect("taken");
+        store.place_keyframe(&keyframe(id)).expect("taken");
         let label = PageLabel { page_id: id, first_keyframe_id: id, last_keyframe_id: id, ..PageLabel::default() };
         let anchor = StoredAnchor {
             position_in_keyframe_m: [0.0, 0.0, 5.0],

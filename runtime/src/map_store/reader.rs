@@ -61,8 +61,12 @@ impl MapStoreReader {
     fn from_found(folder: &Path, manifest: Manifest, found: Found) -> Self {
         let counts = found.counts();
         let Found { keyframes, pages, chunks, mut damages } = found;
-        let (held_out, mut keyframes): (Vec<_>, Vec<_>) =
-            keyframes.into_values().partition(|keyframe| keyframe.is_held_out);
+        let mut held_out = Vec::with_capacity(usize::try_from(counts.held_out).unwrap_or(0));
+        let mut mapping = Vec::with_capacity(keyframes.len() - held_out.capacity());
+        for view in keyframes.into_values() {
+            if view.is_held_out { held_out.push(view) } else { mapping.push(view) }
+        }
+        let mut keyframes: Vec<StoredKeyframe> = mapping;
         keyframes.sort_by_key(|keyframe| keyframe.keyframe_id);
         let mut reader = Self {
             folder: folder.to_owned(),
