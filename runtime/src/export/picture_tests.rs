@@ -18,7 +18,7 @@ use ply_rs_bw::ply::{DefaultElement, Property};
 const N_KEYFRAMES: u32 = 3;
 const ANCHORS_PER_KEYFRAME: usize = 15;
 const CAMERA: Pinhole = Pinhole { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
-const BLACK: [[f32; 3]; BACKGROUND_TEXELS] = [[0.0; 3]; BACKGROUND_TEXELS];
+static BLACK: [[f32; 3]; BACKGROUND_TEXELS] = [[0.0; 3]; BACKGROUND_TEXELS];
 
 fn between(rng: &mut Rng, low: f32, high: f32) -> f32 {
     low + (high - low) * rng.unit_f32()
