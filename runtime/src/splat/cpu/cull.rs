@@ -4,7 +4,8 @@ use super::anchors::Anchors;
 use super::project::{CameraConstants, NEAR_PLANE_M, SCREEN_DILATION_PX2};
 use super::splats::{Lists, MAX_JOBS, piece_len, take_front};
 use crate::pool::Pool;
-use crate::splat::{GaussianParams, KeyframePlacement, View};
+use crate::splat::{AnchorHeader, GaussianParams, KeyframePlacement, View};
+use kilogs_core::map::lod;
 use nalgebra::{Matrix3, Vector3};
 
 /// `camera_from_keyframe` of a keyframe row: scale times rotation row by row, then the translation.
@@ -146,6 +147,9 @@ fn slot_bits(anchors: &Anchors, slot: usize, keyframes: &[KeyframeNumbers], frus
     let largest_extent_m = extent_m[0].max(extent_m[1]).max(extent_m[2]);
     // Scale of camera_from_keyframe: the length of a row of its linear part.
     let scale = || (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]).sqrt();
+    if band_opacity_of(header, m) <= 0.0 {
+        return 0;
+    }
     let mut bits = 0;
     for (i, gaussian) in anchors.params[slot * anchors.k..].iter().take(n_gaussians).enumerate() {
         let mean = [0, 1, 2].map(|a| header.position_in_keyframe_m[a] + gaussian.offset[a] * extent_m[a]);
@@ -155,6 +159,16 @@ fn slot_bits(anchors: &Anchors, slot: usize, keyframes: &[KeyframeNumbers], frus
         bits |= u32::from(visible) << i;
     }
     bits
+}
+
+/// Share of its opacity that an anchor keeps at its distance from the camera (see [`lod`]).
+#[inline(always)]
+pub fn band_opacity_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> f32 {
+    let m = camera_from_keyframe;
+    let [x, y, z] = header.position_in_keyframe_m;
+    let in_camera = [0, 1, 2].map(|r| m[r * 3] * x + m[r * 3 + 1] * y + m[r * 3 + 2] * z + m[9 + r]);
+    let distance2_m2 = in_camera[0] * in_camera[0] + in_camera[1] * in_camera[1] + in_camera[2] * in_camera[2];
+    lod::band_opacity(header.level, distance2_m2.sqrt())
 }
 
 fn largest_scale(gaussian: &GaussianParams) -> f32 {
