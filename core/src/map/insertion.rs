@@ -16,6 +16,11 @@ pub struct InsertionSettings {
     pub samples_per_pixel: f32,
     /// Probability of a pixel through which the background shows wholly, so that flat surfaces are covered; [0, 1].
     pub bare_probability: f32,
+    /// Weight of the difference of brightness between picture and map, at least 0. Ours: a moved or repainted
+    /// surface has the structure it should have, in the wrong place.
+    pub error_weight: f32,
+    /// Standard deviation of a new Gaussian relative to the spacing of the samples, above 0.
+    pub sigma_per_spacing: f32,
 }
 
 impl InsertionSettings {
@@ -26,6 +31,8 @@ impl InsertionSettings {
         depth_edge_weight: 0.1,
         samples_per_pixel: 0.05,
         bare_probability: 0.2,
+        error_weight: 0.0,
+        sigma_per_spacing: 0.5,
     };
 }
 
@@ -166,6 +173,8 @@ pub struct InsertionImages<'a> {
     pub rendered_depth_edges: &'a [f32],
     /// Share of the background that the rendered map lets through, [0, 1].
     pub transmittance: &'a [f32],
+    /// Absolute difference of brightness between camera and rendered image, [0, 1].
+    pub error: &'a [f32],
     /// Confidence of the depth, [0, 1]; pixels at zero are never sampled.
     pub confidence: &'a [f32],
 }
@@ -258,7 +267,8 @@ pub fn sample(
         let seen = probability(settings, gain, at(images.structure), at(images.depth_edges));
         let rendered = probability(settings, gain, at(images.rendered_structure), at(images.rendered_depth_edges));
         let bare = settings.bare_probability * at(images.transmittance);
-        let wanted = ((seen - rendered).max(0.0) + bare).min(1.0);
+        let wrong = settings.error_weight * at(images.error);
+        let wanted = ((seen - rendered).max(0.0) + bare + wrong).min(1.0);
         *value = if at(images.confidence) > 0.0 { wanted } else { 0.0 };
     }
     let mut drawn = Sampled { gain, ..Sampled::default() };
@@ -300,9 +310,6 @@ fn mark_maxima(values: &[f32], size: MapImageSize, kept: &mut [u8]) {
 
 /// Half side of the window in which the density of samples is counted, px.
 const DENSITY_RADIUS_PX: usize = 6;
-/// Standard deviation relative to the spacing of the samples: neighbours overlap at about one sigma.
-const SIGMA_PER_SPACING: f32 = 0.5;
-
 /// `1 / sqrt(density)` times a constant: the density is what the camera image asks for around the pixel, as if
 /// the map were empty, so that a late refinement of a covered surface is as fine as its texture.
 fn covering_sigma_px(
@@ -325,7 +332,7 @@ fn covering_sigma_px(
             }
         }
     }
-    SIGMA_PER_SPACING * libm::sqrtf(n_pixels as f32 / expected.max(1.0))
+    settings.sigma_per_spacing * libm::sqrtf(n_pixels as f32 / expected.max(1.0))
 }
 
 #[cfg(test)]
@@ -361,6 +368,7 @@ mod tests {
             rendered_structure: &rendered_structure,
             rendered_depth_edges: &vec![0.0; n],
             transmittance: &vec![transmittance; n],
+            error: &vec![0.0; n],
             confidence,
         };
         let mut samples = vec![InsertionSample::default(); n];

@@ -47,8 +47,8 @@ impl MapperCapacity {
         let images = self.images * n_pixels * (bytes_per_pixel + 1);
         let stereo = half_pixels * (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2 + 12)
             + aggregate::scratch_len(camera.width as usize / 2) * size_of::<u16>();
-        // Color, depth, transmittance, luma, two structures, two edges, probability, inverse depth, confidence, blur.
-        let insertion = n_pixels * (12 + 11 * size_of::<f32>() + 1);
+        // Color, depth, transmittance, luma, error, two structures, two edges, probability, inverse depth, confidence, blur.
+        let insertion = n_pixels * (12 + 12 * size_of::<f32>() + 1);
         let gaussian = size_of::<kilogs_core::map::GaussianParams>();
         let staged = self.new_anchors
             * (self.gaussians_per_anchor * gaussian + size_of::<kilogs_core::map::AnchorHeader>() + size_of::<u32>());

@@ -45,6 +45,7 @@ impl Mapper {
             rendered_structure: &scratch.rendered_structure,
             rendered_depth_edges: &scratch.rendered_depth_edges,
             transmittance: &scratch.transmittance,
+            error: &scratch.error,
             confidence: &scratch.confidence,
         };
         let memory = SamplingScratch { probability: &mut scratch.probability, kept: &mut scratch.kept };
@@ -154,6 +155,9 @@ impl Mapper {
         difference_of_gaussians(&scratch.luma, size, sigmas_px, &mut scratch.blur, &mut scratch.structure);
         for (value, &[red, green, blue]) in scratch.luma.iter_mut().zip(&scratch.rgb) {
             *value = 0.299 * red + 0.587 * green + 0.114 * blue;
+        }
+        for ((error, &rendered), &grey) in scratch.error.iter_mut().zip(&scratch.luma).zip(kept.luma) {
+            *error = (rendered - f32::from(grey) / 255.0).abs();
         }
         difference_of_gaussians(&scratch.luma, size, sigmas_px, &mut scratch.blur, &mut scratch.rendered_structure);
         // The rendered depth is weighted by what was hit; its inverse is that of the mean hit.

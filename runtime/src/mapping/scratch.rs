@@ -16,6 +16,8 @@ pub struct ImageScratch {
     pub transmittance: Box<[f32]>,
     /// Brightness of the camera or of the rendered image, in [0, 1].
     pub luma: Box<[f32]>,
+    /// Difference of brightness between the two.
+    pub error: Box<[f32]>,
     /// First pass of a blur.
     pub blur: Box<[f32]>,
     /// Structure of the camera image.
@@ -48,6 +50,7 @@ impl ImageScratch {
             rendered_depth: plane(),
             transmittance: plane(),
             luma: plane(),
+            error: plane(),
             blur: plane(),
             structure: plane(),
             rendered_structure: plane(),
