@@ -1,21 +1,15 @@
 //! What one element of each row costs. Sizes come from the types that are stored, never from the file.
 
 use super::{Budget, Row};
+use crate::mapping::{capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
 use crate::splat::MemoryRow;
 use crate::splat::cpu::CpuBackend;
 use kilogs_core::bundle::ReducedSystem;
-use kilogs_core::features::{Corner, Flow, Track};
-use kilogs_core::frame::pyramid;
-use kilogs_core::keyframe::{KeyframeWindow, Landmark, WINDOW};
-use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
-use kilogs_core::map::depth::sweep::N_LABELS;
-use kilogs_core::map::pool::AnchorSlot;
-use kilogs_core::map::voxel::VoxelCell;
-use kilogs_core::map::{AnchorHeader, GaussianParams};
-use kilogs_core::pose::{LandmarkMatch, Match};
+use kilogs_core::camera::Pinhole;
+use kilogs_core::keyframe::{KeyframeWindow, WINDOW};
 use kilogs_core::store::{PageLabel, StoredKeyframe};
-use kilogs_core::tracking::{FrameReport, KeyframePoint};
+use kilogs_core::tracking::{BYTES_PER_LANDMARK, BYTES_PER_TRACK, FrameReport, KeyframePoint};
 
 /// What the plan has to know beside the budget.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,13 +36,17 @@ impl PlanInput {
 
     /// Pixels of a training image.
     pub fn mapping_pixels(&self) -> u64 {
-        let scaled = |side: u32| (f64::from(side) * self.mapping_resolution).ceil() as u64;
-        scaled(self.width) * scaled(self.height)
+        let camera = self.mapping_camera();
+        u64::from(camera.width) * u64::from(camera.height)
+    }
+
+    /// Size of the training images; its intrinsics mean nothing.
+    fn mapping_camera(&self) -> Pinhole {
+        let (width, height) = (self.width, self.height);
+        let native = Pinhole { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        mapping_camera(&native, self.mapping_resolution)
     }
 }
-
-/// Levels of a pyramid: what the tracker asks for.
-const PYRAMID_LEVELS: usize = 4;
 
 /// Bytes of one element of `row`.
 pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
@@ -62,28 +60,25 @@ pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             slots.shared_bytes(input.frame_bytes) / bytes(slots.n_slots()).max(1)
         }
         Row::TrackingGrayImages => input.pixels(),
-        Row::TrackingPyramids => {
-            bytes(pyramid::bytes_needed(input.width as usize, input.height as usize, PYRAMID_LEVELS))
-        }
-        Row::TrackingTracks => bytes(TRACK_BYTES),
-        Row::TrackingLandmarks => bytes(size_of::<Landmark>()),
+        Row::TrackingPyramids => bytes(budget.tracker_capacities(input).bytes_per_pyramid()),
+        Row::TrackingTracks => bytes(BYTES_PER_TRACK),
+        Row::TrackingLandmarks => bytes(BYTES_PER_LANDMARK),
         Row::TrackingKeyframes => bytes((size_of::<KeyframeWindow>() + size_of::<ReducedSystem>()).div_ceil(WINDOW)),
         Row::PipelineKeyframeQueue => {
             input.frame_bytes
                 + bytes(size_of::<FrameReport>() + capacity(Row::TrackingTracks) * size_of::<KeyframePoint>())
         }
-        Row::MapAnchors => bytes(size_of::<AnchorSlot>() + size_of::<u32>()) + splat.each("splat.anchors"),
+        Row::MapAnchors => bytes(mapper::BYTES_PER_ANCHOR) + splat.each("splat.anchors"),
         // Their sizes are part of the rows that they multiply.
         Row::MapGaussiansPerAnchor | Row::StorePageAnchors => 0,
-        Row::MapNewAnchors => {
-            let gaussians = capacity(Row::MapGaussiansPerAnchor) * size_of::<GaussianParams>();
-            bytes(gaussians + size_of::<AnchorHeader>() + size_of::<u32>())
-        }
-        Row::MapVoxels => bytes(size_of::<VoxelCell>()),
+        Row::MapNewAnchors => bytes(mapper::bytes_per_new_anchor(capacity(Row::MapGaussiansPerAnchor))),
+        Row::MapVoxels => bytes(mapper::BYTES_PER_VOXEL),
         Row::MapKeyframes => splat.each("splat.keyframe_rows"),
-        // The brightness stands beside the colors.
-        Row::MapKeyframeImages => input.mapping_pixels() * (channels + 1) + splat.each("splat.exposure_slots"),
-        Row::MapWorkspaces => workspace_bytes(input),
+        Row::MapKeyframeImages => {
+            let channels = input.color_channels as usize;
+            bytes(mapper::bytes_per_image(&input.mapping_camera(), channels)) + splat.each("splat.exposure_slots")
+        }
+        Row::MapWorkspaces => bytes(mapper::workspace_bytes(&input.mapping_camera())),
         Row::MapChunks => splat.each("splat.chunk_rows"),
         Row::SplatVisibleGaussians => splat.each("splat.visible_gaussians"),
         Row::SplatRowEntries => splat.each("splat.row_entries"),
@@ -95,25 +90,6 @@ pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::TelemetryFrameRecords => bytes(size_of::<FrameReport>() + size_of::<StageTimes>()),
         Row::ProcessCodeAndStacks | Row::ProcessCameraChild => 1,
     }
-}
-
-/// A track with its share of every slice that is as long as the tracks.
-const TRACK_BYTES: usize = size_of::<Track>()
-    + size_of::<Flow>()
-    + size_of::<Corner>()
-    + size_of::<f32>()
-    + size_of::<Match>()
-    + size_of::<LandmarkMatch>()
-    + size_of::<bool>()
-    + 2 * size_of::<u32>()
-    + size_of::<KeyframePoint>();
-
-/// Planes of motion stereo at half the training size, and of insertion at the training size.
-fn workspace_bytes(input: &PlanInput) -> u64 {
-    let pixels = input.mapping_pixels();
-    let planes = |n: usize| (n * size_of::<f32>()) as u64;
-    let stereo = (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2) as u64 + planes(3);
-    pixels / 4 * stereo + pixels * (planes(3 + 11) + 1)
 }
 
 /// The splat backend's own plan.
@@ -159,7 +135,7 @@ mod tests {
         let planned = |row: Row| bytes_each(row, &budget, &input) * budget.entry(row).capacity;
         let host_part = |row: Row, each: usize| planned(row) - each as u64 * budget.entry(row).capacity;
         let image = input.mapping_pixels() as usize * 4;
-        let sum = host_part(Row::MapAnchors, size_of::<AnchorSlot>() + size_of::<u32>())
+        let sum = host_part(Row::MapAnchors, mapper::BYTES_PER_ANCHOR)
             + host_part(Row::MapKeyframeImages, image)
             + [Row::MapKeyframes, Row::MapChunks, Row::SplatVisibleGaussians, Row::SplatRowEntries, Row::SplatPairs]
                 .into_iter()

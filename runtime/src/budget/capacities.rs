@@ -4,9 +4,11 @@
 
 use super::{Budget, PlanInput, Row};
 use crate::map_store::StoreCapacity;
+use crate::mapping::MapperCapacity;
 use crate::splat::Capacities;
 use kilogs_camera::ipc::FrameSlots;
 use kilogs_core::store::page_file_bytes;
+use kilogs_core::tracking::TrackerCapacities;
 
 /// Processes that can read frames at once: the tracker and one more.
 const READERS: usize = 2;
@@ -20,6 +22,29 @@ impl Budget {
     pub fn frame_slots(&self) -> FrameSlots {
         let waiting = self.capacity(Row::IpcFrameSlots).saturating_sub(NOT_WAITING);
         FrameSlots { subscribers: READERS, buffered: waiting / READERS, borrowed: IN_HAND }
+    }
+
+    /// Tracks, landmarks and pyramids of the tracker.
+    pub fn tracker_capacities(&self, input: &PlanInput) -> TrackerCapacities {
+        TrackerCapacities {
+            width: input.width as usize,
+            height: input.height as usize,
+            tracks: self.capacity(Row::TrackingTracks),
+            landmarks: self.capacity(Row::TrackingLandmarks),
+        }
+    }
+
+    /// Anchors and images of the mapper.
+    pub fn mapper_capacity(&self) -> MapperCapacity {
+        MapperCapacity {
+            anchors: self.capacity(Row::MapAnchors),
+            gaussians_per_anchor: self.capacity(Row::MapGaussiansPerAnchor),
+            voxels: self.capacity(Row::MapVoxels),
+            images: self.capacity(Row::MapKeyframeImages),
+            new_anchors: self.capacity(Row::MapNewAnchors),
+            keyframe_rows: self.capacity(Row::MapKeyframes),
+            chunk_rows: self.capacity(Row::MapChunks),
+        }
     }
 
     /// Lists and pictures of the splat backend.

@@ -79,11 +79,12 @@ pub fn main() -> Result<(), RunError> {
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
             let settings = crate::config::load(&command.config)?;
-            Ok(crate::budget::run(&command.args, settings.mapping.resolution)?)
+            Ok(crate::budget::run(&command.args, settings.mapping.mapper.resolution)?)
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;
-            crate::doctor::run(&command.args, settings.mapping.resolution).map_err(|e| RunError::Run(e.to_string()))
+            crate::doctor::run(&command.args, settings.mapping.mapper.resolution)
+                .map_err(|e| RunError::Run(e.to_string()))
         }
         Command::Camera(args) => {
             let failed =

@@ -1,7 +1,8 @@
 //! Lays the sources of settings over one another and remembers where each value came from.
 
-use super::schema::{Kind, SETTINGS, Setting, as_number};
-use super::{ConfigError, DEFAULT_TOML, RawConfig};
+use super::table::SETTINGS;
+use super::{ConfigError, DEFAULT_TOML};
+use crate::settings::Settings;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
@@ -77,40 +78,32 @@ impl Layers {
     }
 
     fn put(&mut self, key: String, value: Value, origin: &Origin) -> Result<(), ConfigError> {
-        let Some(setting) = Setting::find(&key) else {
+        if SETTINGS.iter().all(|setting| setting.key != key) {
             return Err(ConfigError::Unknown { origin: origin.clone(), hint: hint_for(&key), key });
-        };
-        let value = match (&setting.kind, as_number(&value)) {
-            (Kind::Number(_), Some(number)) => Value::Float(number),
-            _ => value,
-        };
+        }
         self.values.insert(key, (value, origin.clone()));
         Ok(())
     }
 
-    /// Holds every value to what its setting allows.
-    pub(super) fn check_ranges(&self) -> Result<(), ConfigError> {
+    /// Checks every value and makes settings of them.
+    pub(super) fn into_settings(self) -> Result<Settings, ConfigError> {
+        let mut settings = Settings::measured();
         for setting in SETTINGS {
-            let Some((value, origin)) = self.values.get(setting.key) else { continue };
-            if let Some(reason) = setting.objection(value) {
-                let (key, value) = (setting.key.to_owned(), value.to_string());
-                return Err(ConfigError::Value { origin: origin.clone(), key, value, reason });
-            }
+            let Some((value, _)) = self.values.get(setting.key) else { continue };
+            setting.put(&mut settings, value).map_err(|reason| self.refusal(setting.key, reason))?;
         }
-        Ok(())
+        match settings.contradiction() {
+            None => Ok(settings),
+            Some((key, reason)) => Err(self.refusal(key, reason)),
+        }
     }
 
-    /// The typed form; cannot fail once the ranges hold, and a test of the defaults keeps it so.
-    pub(super) fn into_raw(self) -> Result<RawConfig, ConfigError> {
-        let mut document = Table::new();
-        for (key, (value, _)) in self.values {
-            let Some((section, name)) = key.split_once('.') else { continue };
-            let section = document.entry(section).or_insert_with(|| Value::Table(Table::new()));
-            if let Value::Table(section) = section {
-                section.insert(name.to_owned(), value);
-            }
-        }
-        document.try_into().map_err(|error| ConfigError::Syntax { origin: Origin::Builtin, reason: error.to_string() })
+    fn refusal(&self, key: &str, reason: String) -> ConfigError {
+        let (value, origin) = match self.values.get(key) {
+            Some((value, origin)) => (value.to_string(), origin.clone()),
+            None => (String::new(), Origin::Builtin),
+        };
+        ConfigError::Value { origin, key: key.to_owned(), value, reason }
     }
 }
 

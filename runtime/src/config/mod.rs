@@ -4,11 +4,10 @@
 //! the program sees.
 
 mod layers;
-mod raw;
 mod schema;
+mod table;
 
 pub use layers::Origin;
-pub(crate) use raw::RawConfig;
 
 use crate::settings::Settings;
 use layers::Layers;
@@ -42,8 +41,7 @@ pub fn load(args: &ConfigArgs) -> Result<Settings, ConfigError> {
     for assignment in &args.set {
         layers.add_assignment(assignment)?;
     }
-    layers.check_ranges()?;
-    Ok(Settings::from_raw(layers.into_raw()?))
+    layers.into_settings()
 }
 
 /// Why a configuration cannot be used.

@@ -1,5 +1,6 @@
-//! What each setting may be. `default.toml` says the same to people; a test compares the two.
+//! What a setting may be. `default.toml` says the same to people; a test compares the two.
 
+use crate::settings::Settings;
 use std::fmt;
 
 /// One setting.
@@ -8,15 +9,34 @@ pub(super) struct Setting {
     pub(super) kind: Kind,
 }
 
-/// What values a setting takes.
+/// What values a setting takes, and how an allowed one is put into [`Settings`].
 pub(super) enum Kind {
     /// A number in a range.
-    Number(Range),
+    Number { range: Range, put: fn(&mut Settings, f64) },
+    /// A whole number in a range.
+    Whole { range: Range, put: fn(&mut Settings, f64) },
     /// One of some words; `planned` ones are known but not available in this version.
-    Choice { available: &'static [&'static str], planned: &'static [&'static str] },
+    Choice { available: &'static [&'static str], planned: &'static [&'static str], put: fn(&mut Settings, &str) },
     /// True or false; `planned` is the value that is not available in this version.
-    Switch { planned: Option<bool> },
+    Switch { planned: Option<bool>, put: fn(&mut Settings, bool) },
 }
+
+/// Types of the fields that numbers are put into; the range has made sure that they fit.
+pub(super) trait Scalar {
+    fn of(value: f64) -> Self;
+}
+
+macro_rules! scalars {
+    ($($type:ty),*) => {$(
+        impl Scalar for $type {
+            fn of(value: f64) -> Self {
+                value as Self
+            }
+        }
+    )*};
+}
+
+scalars!(f32, f64, u8, u32, usize);
 
 /// From `low` to `high`, with or without the ends.
 #[derive(Clone, Copy)]
@@ -29,11 +49,26 @@ pub(super) struct Range {
 
 impl Range {
     /// `[low, high]`.
-    const fn closed(low: f64, high: f64) -> Self {
+    pub(super) const fn closed(low: f64, high: f64) -> Self {
         Self { low, low_belongs: true, high, high_belongs: true }
     }
 
-    pub(super) fn contains(&self, value: f64) -> bool {
+    /// `(low, high]`.
+    pub(super) const fn open_closed(low: f64, high: f64) -> Self {
+        Self { low, low_belongs: false, high, high_belongs: true }
+    }
+
+    /// `[low, high)`.
+    pub(super) const fn closed_open(low: f64, high: f64) -> Self {
+        Self { low, low_belongs: true, high, high_belongs: false }
+    }
+
+    /// `(low, high)`.
+    pub(super) const fn open(low: f64, high: f64) -> Self {
+        Self { low, low_belongs: false, high, high_belongs: false }
+    }
+
+    fn contains(&self, value: f64) -> bool {
         let above = value > self.low || (self.low_belongs && value == self.low);
         let below = value < self.high || (self.high_belongs && value == self.high);
         above && below
@@ -48,56 +83,34 @@ impl fmt::Display for Range {
     }
 }
 
-const fn choice(key: &'static str, available: &'static [&'static str], planned: &'static [&'static str]) -> Setting {
-    Setting { key, kind: Kind::Choice { available, planned } }
-}
-
-const fn switch(key: &'static str, planned: Option<bool>) -> Setting {
-    Setting { key, kind: Kind::Switch { planned } }
-}
-
-const fn number(key: &'static str, range: Range) -> Setting {
-    Setting { key, kind: Kind::Number(range) }
-}
-
-/// Every setting, in the order of `default.toml`.
-pub(super) const SETTINGS: &[Setting] = &[
-    choice("tracking.pose_models", &["both", "essential", "pnp"], &[]),
-    choice("tracking.dynamic_filter", &["off", "paper", "region"], &[]),
-    choice("tracking.dense_fallback", &["off"], &["on"]),
-    choice("tracking.bundle_adjustment", &["off", "on"], &[]),
-    choice("tracking.matcher", &["classical"], &["xfeat", "disk"]),
-    switch("mapping.enabled", None),
-    number("mapping.resolution", Range::closed(0.125, 1.0)),
-    switch("loop_closure.enabled", Some(true)),
-];
-
 impl Setting {
-    pub(super) fn find(key: &str) -> Option<&'static Self> {
-        SETTINGS.iter().find(|setting| setting.key == key)
-    }
-
-    /// Why `value` is not allowed, or nothing.
-    pub(super) fn objection(&self, value: &toml::Value) -> Option<String> {
+    /// Puts `value` into `settings`.
+    ///
+    /// # Errors
+    /// Why the value is not allowed, and what is.
+    pub(super) fn put(&self, settings: &mut Settings, value: &toml::Value) -> Result<(), String> {
         match &self.kind {
-            Kind::Number(range) => match as_number(value) {
-                Some(number) if range.contains(number) => None,
-                Some(_) => Some(format!("not in the range {range}")),
-                None => Some(format!("not a number; the range is {range}")),
-            },
-            Kind::Choice { available, planned } => {
-                let word = value.as_str().unwrap_or_default();
-                if available.contains(&word) {
-                    return None;
-                }
-                let possible = format!("write {}", available.join(" or "));
-                let known = planned.contains(&word);
-                Some(if known { not_available(&possible) } else { format!("not a choice; {possible}") })
+            Kind::Number { range, put } => {
+                let number = as_number(value).ok_or_else(|| format!("not a number; the range is {range}"))?;
+                within(range, number).map(|()| put(settings, number))
             }
-            Kind::Switch { planned } => match value.as_bool() {
-                None => Some("neither true nor false".to_owned()),
-                Some(on) if *planned == Some(on) => Some(not_available(&format!("write {}", !on))),
-                Some(_) => None,
+            Kind::Whole { range, put } => {
+                let number = value.as_integer().ok_or_else(|| format!("not a whole number; the range is {range}"))?;
+                within(range, number as f64).map(|()| put(settings, number as f64))
+            }
+            Kind::Choice { available, planned, put } => {
+                let word = value.as_str().unwrap_or_default();
+                let possible = format!("write {}", available.join(" or "));
+                match (available.contains(&word), planned.contains(&word)) {
+                    (true, _) => Ok(put(settings, word)),
+                    (false, true) => Err(not_available(&possible)),
+                    (false, false) => Err(format!("not a choice; {possible}")),
+                }
+            }
+            Kind::Switch { planned, put } => match value.as_bool() {
+                None => Err("neither true nor false".to_owned()),
+                Some(on) if *planned == Some(on) => Err(not_available(&format!("write {}", !on))),
+                Some(on) => Ok(put(settings, on)),
             },
         }
     }
@@ -106,8 +119,8 @@ impl Setting {
     #[cfg(test)]
     pub(super) fn values_in_words(&self) -> String {
         match &self.kind {
-            Kind::Number(range) => format!("Range {range}"),
-            Kind::Choice { available, planned } => {
+            Kind::Number { range, .. } | Kind::Whole { range, .. } => format!("Range {range}"),
+            Kind::Choice { available, planned, .. } => {
                 let mut all: Vec<_> = available.iter().chain(*planned).copied().collect();
                 all.sort_unstable();
                 all.join(", ")
@@ -117,11 +130,15 @@ impl Setting {
     }
 }
 
+fn within(range: &Range, number: f64) -> Result<(), String> {
+    if range.contains(number) { Ok(()) } else { Err(format!("not in the range {range}")) }
+}
+
 fn not_available(possible: &str) -> String {
     format!("not available in this version; {possible}")
 }
 
 /// Whole numbers are numbers too.
-pub(super) fn as_number(value: &toml::Value) -> Option<f64> {
+fn as_number(value: &toml::Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|integer| integer as f64))
 }

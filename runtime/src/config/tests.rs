@@ -1,8 +1,9 @@
 //! Defaults, files and single values, and what is refused of them.
 
-use super::schema::{SETTINGS, Setting};
+use super::schema::Kind;
+use super::table::SETTINGS;
 use super::*;
-use crate::settings::{DynamicFilter, PoseModels};
+use kilogs_core::tracking::{DynamicFilter, PoseModels};
 
 /// Settings from a file's text (when there is one) and `--set` values.
 fn settings(file: Option<&str>, set: &[&str]) -> Result<Settings, ConfigError> {
@@ -18,7 +19,11 @@ fn settings(file: Option<&str>, set: &[&str]) -> Result<Settings, ConfigError> {
 fn the_defaults_are_valid_and_the_command_line_beats_the_file() {
     let check = |file, set: &[&str], expected: (DynamicFilter, f64)| {
         let found = settings(file, set).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!((found.tracking.dynamic_filter, found.mapping.resolution), expected, "{file:?} {set:?}");
+        assert_eq!(
+            (found.tracking.tracker.dynamic_filter, found.mapping.mapper.resolution),
+            expected,
+            "{file:?} {set:?}"
+        );
     };
     let file = "[tracking]\ndynamic_filter = \"off\"\n[mapping]\nresolution = 1\n";
     check(None, &[], (DynamicFilter::Region, 0.5));
@@ -28,7 +33,7 @@ fn the_defaults_are_valid_and_the_command_line_beats_the_file() {
     check(None, &["mapping.resolution=0.25", "mapping.resolution=1"], (DynamicFilter::Region, 1.0));
     check(None, &["tracking.dynamic_filter=\"off\""], (DynamicFilter::Off, 0.5));
     assert_eq!(
-        settings(None, &["tracking.pose_models=pnp"]).map(|s| s.tracking.pose_models).ok(),
+        settings(None, &["tracking.pose_models=pnp"]).map(|s| s.tracking.tracker.pose_models).ok(),
         Some(PoseModels::Pnp)
     );
 }
@@ -54,6 +59,21 @@ fn a_bad_setting_names_key_value_range_and_origin() {
         &["loop_closure.enabled=true"],
         &["loop_closure.enabled", "not available in this version", "write false"],
     );
+    check(None, &["tracking.min_inliers=15.5"], &["tracking.min_inliers", "not a whole number", "[6, 200]"]);
+    check(None, &["tracking.min_inliers=5"], &["tracking.min_inliers = 5", "[6, 200]"]);
+    check(None, &["tracking.lk_max_backward_px=0"], &["tracking.lk_max_backward_px", "(0, 10]"]);
+    check(None, &["tracking.confidence=1"], &["tracking.confidence", "[0.9, 1)"]);
+    check(
+        None,
+        &["tracking.road_nearest_m=30"],
+        &["tracking.road_farthest_m", "not above tracking.road_nearest_m = 30"],
+    );
+    check(
+        None,
+        &["mapping.stereo_nearest_m=20", "mapping.stereo_farthest_m=15"],
+        &["--set", "mapping.stereo_farthest_m", "20"],
+    );
+    check(None, &["mapping.newest_share=0.9"], &["mapping.older_share", "0.9"]);
     check(None, &["mapping.resolutoin=1"], &["no setting mapping.resolutoin", "did you mean mapping.resolution?"]);
     check(None, &["x=1"], &["no setting x", "tracking.pose_models", "loop_closure.enabled"]);
     check(None, &["mapping.resolution"], &["--set", "has no ="]);
@@ -74,6 +94,8 @@ fn documented() -> Vec<(String, String)> {
             comment.clear();
         } else if let Some(text) = line.strip_prefix('#') {
             comment.push_str(text);
+        } else if line.is_empty() {
+            comment.clear();
         } else if let Some((name, _)) = line.split_once('=') {
             found.push((format!("{section}.{}", name.trim()), std::mem::take(&mut comment)));
         }
@@ -88,7 +110,7 @@ fn default_toml_tells_people_what_the_program_checks() {
     let known: Vec<_> = SETTINGS.iter().map(|setting| setting.key).collect();
     assert_eq!(keys, known, "default.toml and the program must know the same settings in the same order");
     for (key, comment) in &documented {
-        let setting = Setting::find(key).expect("compared above");
+        let setting = SETTINGS.iter().find(|setting| setting.key == key).expect("compared above");
         let sorted_choices = || {
             let list = comment.split("One of ").nth(1)?.split('.').next()?;
             let mut words: Vec<_> = list.split(", ").collect();
@@ -100,5 +122,40 @@ fn default_toml_tells_people_what_the_program_checks() {
             comment.contains(&words) || sorted_choices().as_deref() == Some(words.as_str()),
             "{key}: the comment {comment:?} should say {words:?}"
         );
+    }
+}
+
+/// The stages' own tests and measurements use constants in code; `default.toml` must say the same.
+#[test]
+fn the_defaults_are_the_values_that_the_stages_were_measured_with() {
+    let measured = Settings::measured();
+    let table: toml::Table = DEFAULT_TOML.parse().expect("valid TOML");
+    let differs = |key: &str| {
+        let (section, name) = key.split_once('.')?;
+        let value = table.get(section)?.get(name)?;
+        let mut settings = measured.clone();
+        let setting = SETTINGS.iter().find(|setting| setting.key == key)?;
+        setting.put(&mut settings, value).ok()?;
+        (settings != measured)
+            .then(|| format!("{key} = {value} in default.toml, another value in the stage's constants"))
+    };
+    let wrong: Vec<_> = SETTINGS.iter().filter_map(|setting| differs(setting.key)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_number_reaches_its_own_field() {
+    let measured = Settings::measured();
+    for setting in SETTINGS {
+        let value = match &setting.kind {
+            Kind::Number { .. } => (0..160).map(|i| toml::Value::Float(0.0007 * 1.1_f64.powi(i))).collect::<Vec<_>>(),
+            Kind::Whole { .. } => (1..1000).map(toml::Value::Integer).collect(),
+            Kind::Choice { .. } | Kind::Switch { .. } => continue,
+        };
+        let changed = value.iter().any(|value| {
+            let mut settings = measured.clone();
+            setting.put(&mut settings, value).is_ok() && settings != measured
+        });
+        assert!(changed, "{} changes nothing", setting.key);
     }
 }

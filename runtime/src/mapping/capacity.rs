@@ -6,6 +6,7 @@ use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
 use kilogs_core::map::depth::sweep::N_LABELS;
 use kilogs_core::map::pool::AnchorSlot;
 use kilogs_core::map::voxel::VoxelCell;
+use kilogs_core::map::{AnchorHeader, GaussianParams};
 
 /// Sizes fixed at construction; a mapper's memory follows from them alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,18 +41,41 @@ impl MapperCapacity {
 
     /// Bytes of the mapper without its backend, for a mapping camera and one or three bytes per pixel.
     pub fn bytes(&self, camera: &Pinhole, bytes_per_pixel: usize) -> usize {
-        let n_pixels = camera.width as usize * camera.height as usize;
-        let half_pixels = (camera.width as usize / 2) * (camera.height as usize / 2);
-        let metadata =
-            self.anchors * (size_of::<AnchorSlot>() + size_of::<u32>()) + self.voxels * size_of::<VoxelCell>();
-        let images = self.images * n_pixels * (bytes_per_pixel + 1);
-        let stereo = half_pixels * (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2 + 12)
-            + aggregate::scratch_len(camera.width as usize / 2) * size_of::<u16>();
-        // Color, depth, transmittance, luma, error, two structures, two edges, probability, inverse depth, confidence, blur.
-        let insertion = n_pixels * (12 + 12 * size_of::<f32>() + 1);
-        let gaussian = size_of::<kilogs_core::map::GaussianParams>();
-        let staged = self.new_anchors
-            * (self.gaussians_per_anchor * gaussian + size_of::<kilogs_core::map::AnchorHeader>() + size_of::<u32>());
-        metadata + images + stereo + insertion + staged
+        self.anchors * BYTES_PER_ANCHOR
+            + self.voxels * BYTES_PER_VOXEL
+            + self.images * bytes_per_image(camera, bytes_per_pixel)
+            + self.new_anchors * bytes_per_new_anchor(self.gaussians_per_anchor)
+            + workspace_bytes(camera)
     }
+}
+
+/// Bytes of the pool's slot of an anchor, and of its place in the stage.
+pub const BYTES_PER_ANCHOR: usize = size_of::<AnchorSlot>() + size_of::<u32>();
+
+/// Bytes of a cell of the voxel grid.
+pub const BYTES_PER_VOXEL: usize = size_of::<VoxelCell>();
+
+/// Bytes of a keyframe image at mapping resolution, with its brightness.
+pub fn bytes_per_image(camera: &Pinhole, bytes_per_pixel: usize) -> usize {
+    n_pixels(camera) * (bytes_per_pixel + 1)
+}
+
+/// Bytes of an anchor that is about to be spawned.
+pub fn bytes_per_new_anchor(gaussians_per_anchor: usize) -> usize {
+    gaussians_per_anchor * size_of::<GaussianParams>() + size_of::<AnchorHeader>() + size_of::<u32>()
+}
+
+/// Bytes of the planes of motion stereo, at half the mapping resolution, and of insertion.
+pub fn workspace_bytes(camera: &Pinhole) -> usize {
+    let half_width = camera.width as usize / 2;
+    let half_pixels = half_width * (camera.height as usize / 2);
+    let stereo = half_pixels * (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2 + 12)
+        + aggregate::scratch_len(half_width) * size_of::<u16>();
+    // Color, depth, transmittance, luma, error, two structures, two edges, probability, inverse depth, confidence, blur.
+    let insertion = n_pixels(camera) * (12 + 12 * size_of::<f32>() + 1);
+    stereo + insertion
+}
+
+fn n_pixels(camera: &Pinhole) -> usize {
+    camera.width as usize * camera.height as usize
 }

@@ -4,7 +4,7 @@
 //! keyframe that is far behind leave as pages through a [`PageSink`], and a [`MapViewer`] brings them back to look
 //! at the finished map.
 
-mod capacity;
+pub mod capacity;
 mod depth;
 mod evict;
 mod images;

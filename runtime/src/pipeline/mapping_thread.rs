@@ -21,8 +21,6 @@ use std::time::{Duration, Instant};
 
 /// Live, so many steps per keyframe are enough: a standing vehicle does not train for ever on what it sees.
 const MAX_LIVE_ITERATIONS: u32 = 150;
-/// Keyframes that can be on their way to the mapper when the camera does not wait.
-const LIVE_LINK_CAPACITY: usize = 2;
 /// How long the thread sleeps when there is nothing to train.
 const IDLE_INTERVAL: Duration = Duration::from_millis(100);
 /// Jobs after which nothing is set up any more and the thread is sealed.
@@ -105,7 +103,7 @@ pub fn prepare(
     }
     let mapper = memory::mapper(plan)?;
     let store = MapStoreWriter::create(&plan.out.join("map"), &memory::manifest(plan), &memory::store_settings(plan))?;
-    let n_jobs = if plan.is_live() { LIVE_LINK_CAPACITY } else { 1 };
+    let n_jobs = if plan.is_live() { plan.budget.capacity(Row::PipelineKeyframeQueue) } else { 1 };
     let (jobs, incoming) = queue(n_jobs);
     let (back, free) = queue(n_jobs);
     for _ in 0..n_jobs {

@@ -2,13 +2,12 @@
 
 use super::plan::RunPlan;
 use crate::budget::Row;
-use crate::map_store::{DEFAULT_JPEG_QUALITY, StoreCapacity, StoreSettings, WhenBusy};
-use crate::mapping::{Mapper, MapperCapacity, MapperSettings, mapping_camera};
+use crate::map_store::{DEFAULT_JPEG_QUALITY, StoreSettings, WhenBusy};
+use crate::mapping::{Mapper, MapperSettings};
 use crate::run_error::RunError;
 use crate::seal;
-use crate::settings;
+use crate::splat::SplatBackend;
 use crate::splat::cpu::CpuBackend;
-use crate::splat::{Capacities, SplatBackend};
 use kilogs_core::features::corners::Corner;
 use kilogs_core::features::lk::Flow;
 use kilogs_core::features::tracks::{Track, TrackStorage};
@@ -16,35 +15,17 @@ use kilogs_core::frame::PixelFormat;
 use kilogs_core::keyframe::Landmark;
 use kilogs_core::map::lod::{N_LEVELS, VOXEL_SIZES_M};
 use kilogs_core::pose::{LandmarkMatch, Match};
-use kilogs_core::store::{Manifest, page_file_bytes};
-use kilogs_core::tracking::{
-    DynamicFilter, KeyframePoint, PoseModels, Tracker, TrackerCapacities, TrackerStorage, TrackingSettings,
-};
-
-/// Anchors that one keyframe may spawn, as a share of the pool.
-const NEW_ANCHOR_SHARE: usize = 8;
-/// Anchors of a page, as a share of the pool: pages of ten keyframes, tens of which are resident.
-const PAGE_ANCHOR_SHARE: usize = 8;
+use kilogs_core::store::Manifest;
+use kilogs_core::tracking::{KeyframePoint, Tracker, TrackerStorage};
 
 /// The mapper with its backend.
 ///
 /// # Errors
 /// [`RunError::Device`] when the backend cannot be set up.
 pub fn mapper(plan: &RunPlan) -> Result<Mapper, RunError> {
-    let budget = &plan.budget;
-    let anchors = budget.capacity(Row::MapAnchors);
-    let capacity = MapperCapacity {
-        anchors,
-        gaussians_per_anchor: budget.capacity(Row::MapGaussiansPerAnchor),
-        voxels: budget.capacity(Row::MapVoxels),
-        images: budget.capacity(Row::MapKeyframeImages),
-        new_anchors: anchors / NEW_ANCHOR_SHARE,
-        keyframe_rows: budget.capacity(Row::MapKeyframes),
-        chunk_rows: budget.capacity(Row::MapChunks),
-    };
-    let settings = MapperSettings::measured(plan.seed, plan.settings.mapping.resolution);
+    let settings = MapperSettings { seed: plan.seed, ..plan.settings.mapping.mapper };
     let channels = if plan.pixel_format == PixelFormat::Mono8 { 1 } else { 3 };
-    Ok(Mapper::new(settings, capacity, &plan.camera, channels, backend(plan)?))
+    Ok(Mapper::new(settings, plan.budget.mapper_capacity(), &plan.camera, channels, backend(plan)?))
 }
 
 /// A backend of the budget's size.
@@ -52,32 +33,13 @@ pub fn mapper(plan: &RunPlan) -> Result<Mapper, RunError> {
 /// # Errors
 /// [`RunError::Device`].
 pub fn backend(plan: &RunPlan) -> Result<Box<dyn SplatBackend>, RunError> {
-    let opened = CpuBackend::new(capacities(plan), plan.n_threads, plan.simd, |_| {
+    let opened = CpuBackend::new(plan.budget.splat_capacities(&plan.memory_input), plan.n_threads, plan.simd, |_| {
         // The pool's workers live as long as the backend: sealed from their first breath.
         std::mem::forget(seal::enter());
     });
     match opened {
         Ok(backend) => Ok(Box::new(backend)),
         Err(e) => Err(RunError::Device(e.to_string())),
-    }
-}
-
-fn capacities(plan: &RunPlan) -> Capacities {
-    let budget = &plan.budget;
-    let mapping = mapping_camera(&plan.camera, plan.settings.mapping.resolution);
-    let visible_gaussians = budget.capacity(Row::SplatVisibleGaussians);
-    Capacities {
-        anchors: budget.capacity(Row::MapAnchors),
-        gaussians_per_anchor: budget.capacity(Row::MapGaussiansPerAnchor),
-        visible_gaussians,
-        row_entries: 3 * visible_gaussians,
-        pairs: budget.capacity(Row::SplatPairs),
-        image_width_px: plan.camera.width,
-        image_height_px: plan.camera.height,
-        training_pixels: mapping.width as usize * mapping.height as usize,
-        keyframe_rows: budget.capacity(Row::MapKeyframes),
-        chunk_rows: budget.capacity(Row::MapChunks),
-        exposure_slots: budget.capacity(Row::MapKeyframeImages),
     }
 }
 
@@ -100,15 +62,8 @@ pub fn manifest(plan: &RunPlan) -> Manifest {
 
 /// How the map is written.
 pub fn store_settings(plan: &RunPlan) -> StoreSettings {
-    let budget = &plan.budget;
-    let gaussians = budget.capacity(Row::MapGaussiansPerAnchor);
-    let page_anchors = budget.capacity(Row::MapAnchors) / PAGE_ANCHOR_SHARE;
     StoreSettings {
-        capacity: StoreCapacity {
-            page_bytes: page_file_bytes(page_anchors, page_anchors * gaussians),
-            page_buffers: budget.capacity(Row::StorePageQueue),
-            image_buffers: budget.capacity(Row::StoreImageQueue),
-        },
+        capacity: plan.budget.store_capacity(),
         jpeg_quality: DEFAULT_JPEG_QUALITY,
         when_busy: if plan.is_live() { WhenBusy::Refuse } else { WhenBusy::Wait },
     }
@@ -119,12 +74,7 @@ pub fn store_settings(plan: &RunPlan) -> StoreSettings {
 /// # Errors
 /// [`RunError::Run`] when the storage does not fit the camera, a defect of this function.
 pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
-    let capacities = TrackerCapacities {
-        width: plan.camera.width as usize,
-        height: plan.camera.height as usize,
-        tracks: plan.budget.capacity(Row::TrackingTracks),
-        landmarks: plan.budget.capacity(Row::TrackingLandmarks),
-    };
+    let capacities = plan.budget.tracker_capacities(&plan.memory_input);
     let n_tracks = capacities.tracks;
     let pyramid = || kept(0_u8, capacities.bytes_per_pyramid());
     let storage = TrackerStorage {
@@ -144,7 +94,7 @@ pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
         keyframe_points: kept(NO_POINT, n_tracks),
         bundle: Box::leak(Box::default()),
     };
-    let mut settings = tracking_settings(&plan.settings.tracking);
+    let mut settings = plan.settings.tracking.tracker;
     settings.motion.reverse_allowed |= plan.may_reverse;
     Tracker::new(plan.camera, plan.mounting, settings, kilogs_core::features::SimdLevel::new(), plan.seed, storage)
         .map_err(|e| RunError::Run(format!("setting up the tracker: {e}")))
@@ -155,22 +105,4 @@ const NO_POINT: KeyframePoint = KeyframePoint { pixel: [0.0; 2], depth_m: 0.0, r
 
 fn kept<T: Clone>(empty: T, n: usize) -> &'static mut [T] {
     vec![empty; n].leak()
-}
-
-/// The settings of the core's tracker.
-fn tracking_settings(settings: &settings::TrackingSettings) -> TrackingSettings {
-    TrackingSettings {
-        pose_models: match settings.pose_models {
-            settings::PoseModels::Both => PoseModels::Both,
-            settings::PoseModels::Essential => PoseModels::Essential,
-            settings::PoseModels::Pnp => PoseModels::Pnp,
-        },
-        dynamic_filter: match settings.dynamic_filter {
-            settings::DynamicFilter::Off => DynamicFilter::Off,
-            settings::DynamicFilter::Paper => DynamicFilter::Paper,
-            settings::DynamicFilter::Region => DynamicFilter::Region,
-        },
-        bundle_adjustment: settings.bundle_adjustment,
-        ..TrackingSettings::STANDARD
-    }
 }

@@ -29,6 +29,8 @@ pub struct RunPlan {
     pub settings: Settings,
     /// Capacities.
     pub budget: Budget,
+    /// What the costs of the capacities depend on.
+    pub memory_input: PlanInput,
     /// What the capacities cost with this camera.
     pub memory: Plan,
     /// Size and intrinsics.
@@ -72,12 +74,14 @@ impl RunPlan {
                     .to_owned(),
             )
         })?;
-        let memory = Plan::compute(&budget, &plan_input(&format, settings.mapping.resolution));
+        let memory_input = plan_input(&format, settings.mapping.mapper.resolution);
+        let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
         Ok(Self {
             settings,
             budget,
+            memory_input,
             memory,
             camera: format.camera,
             mounting,

@@ -9,7 +9,7 @@ use super::record::Record;
 use super::tally::Tally;
 use super::tracking_thread::TrackingThread;
 use crate::budget::{Row, Usage};
-use crate::input::{CameraChild, CameraState, FrameSlots, InputError, InputSettings};
+use crate::input::{CameraChild, CameraState, InputError, InputSettings};
 use crate::output::{HealthPublisher, OutputFolder};
 use crate::run_error::RunError;
 use crate::seal;
@@ -50,7 +50,7 @@ pub fn supervise(
     let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let input =
-        InputSettings { service: service.to_owned(), format: plan.service_format(), slots: FrameSlots::DEFAULT };
+        InputSettings { service: service.to_owned(), format: plan.service_format(), slots: plan.budget.frame_slots() };
     let tracking = TrackingThread { plan, input, tracker, mapper: mapper_link, records, stop: &stop };
 
     let (told, tracked, mapped) = std::thread::scope(|scope| {

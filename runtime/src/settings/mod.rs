@@ -2,8 +2,8 @@
 //!
 //! There is no `Default`: the defaults are the built-in `config/default.toml`, read by [`config::load`](crate::config::load).
 
-use crate::config::RawConfig;
-use serde::Deserialize;
+use crate::mapping::MapperSettings;
+use kilogs_core::tracking::TrackingSettings as TrackerSettings;
 
 /// Everything that changes results and is not a capacity.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,14 +21,10 @@ pub struct Settings {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TrackingSettings {
-    /// How the pose of a frame is found.
-    pub pose_models: PoseModels,
-    /// What removes matches on moving objects.
-    pub dynamic_filter: DynamicFilter,
+    /// Constants of the tracker itself.
+    pub tracker: TrackerSettings,
     /// Dense matching after an anomaly.
     pub dense_fallback: bool,
-    /// Windowed bundle adjustment over the keyframe ring.
-    pub bundle_adjustment: bool,
     /// Where correspondences come from.
     pub matcher: Matcher,
 }
@@ -39,8 +35,8 @@ pub struct TrackingSettings {
 pub struct MappingSettings {
     /// Builds a map at all.
     pub enabled: bool,
-    /// Size of the training images relative to the camera's.
-    pub resolution: f64,
+    /// Constants of the mapper itself.
+    pub mapper: MapperSettings,
 }
 
 /// Places seen before.
@@ -51,64 +47,44 @@ pub struct LoopClosureSettings {
     pub enabled: bool,
 }
 
-/// How the pose of a frame is found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PoseModels {
-    /// Essential matrix where the motion allows, perspective-n-point where it does not.
-    Both,
-    /// Essential matrix only.
-    Essential,
-    /// Perspective-n-point only.
-    Pnp,
-}
-
-/// What removes matches on moving objects.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DynamicFilter {
-    /// Nothing before the robust solver.
-    Off,
-    /// The paper's rule: flow above median + 3 MAD over the whole image.
-    Paper,
-    /// The same rule per image region.
-    Region,
-}
-
 /// Where correspondences come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Matcher {
-    /// Optical flow and binary descriptors.
+    /// Optical flow.
     Classical,
-    /// A network of the XFeat family.
-    Xfeat,
-    /// A network of the DISK family.
-    Disk,
-}
-
-/// `on` or `off`, as typed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Toggle {
-    On,
-    Off,
 }
 
 impl Settings {
-    /// Makes settings of a configuration whose values are within their ranges.
-    pub(crate) fn from_raw(raw: RawConfig) -> Self {
-        let RawConfig { tracking, mapping, loop_closure } = raw;
+    /// What the stages were measured with; every value that is a setting is overwritten by the configuration.
+    pub(crate) fn measured() -> Self {
         Self {
             tracking: TrackingSettings {
-                pose_models: tracking.pose_models,
-                dynamic_filter: tracking.dynamic_filter,
-                dense_fallback: tracking.dense_fallback == Toggle::On,
-                bundle_adjustment: tracking.bundle_adjustment == Toggle::On,
-                matcher: tracking.matcher,
+                tracker: TrackerSettings::STANDARD,
+                dense_fallback: false,
+                matcher: Matcher::Classical,
             },
-            mapping: MappingSettings { enabled: mapping.enabled, resolution: mapping.resolution },
-            loop_closure: LoopClosureSettings { enabled: loop_closure.enabled },
+            mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
+            loop_closure: LoopClosureSettings { enabled: false },
         }
+    }
+
+    /// Two settings that contradict each other: the key to change, and what is wrong.
+    pub(crate) fn contradiction(&self) -> Option<(&'static str, String)> {
+        let [nearest_m, farthest_m] = self.tracking.tracker.road.distance_m;
+        if nearest_m >= farthest_m {
+            return Some(("tracking.road_farthest_m", format!("not above tracking.road_nearest_m = {nearest_m}")));
+        }
+        let mapper = &self.mapping.mapper;
+        let stereo = &mapper.stereo;
+        if stereo.nearest_m >= stereo.farthest_m {
+            let problem = format!("not above mapping.stereo_nearest_m = {}", stereo.nearest_m);
+            return Some(("mapping.stereo_farthest_m", problem));
+        }
+        if mapper.newest_share + mapper.older_share > 1.0 {
+            let problem = format!("together with mapping.newest_share = {} above 1", mapper.newest_share);
+            return Some(("mapping.older_share", problem));
+        }
+        None
     }
 }

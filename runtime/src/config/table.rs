@@ -1,0 +1,183 @@
+//! Every setting: its key, what values it takes, and the field that it fills.
+
+use super::schema::{Kind, Range, Scalar, Setting};
+use crate::settings::{Matcher, Settings};
+use kilogs_core::tracking::{DynamicFilter, PoseModels};
+
+macro_rules! number {
+    ($key:literal, $range:expr, $($field:tt)+) => {
+        Setting {
+            key: $key,
+            kind: Kind::Number { range: $range, put: |settings, value| settings.$($field)+ = Scalar::of(value) },
+        }
+    };
+}
+
+macro_rules! whole {
+    ($key:literal, $range:expr, $($field:tt)+) => {
+        Setting {
+            key: $key,
+            kind: Kind::Whole { range: $range, put: |settings, value| settings.$($field)+ = Scalar::of(value) },
+        }
+    };
+}
+
+macro_rules! switch {
+    ($key:literal, $planned:expr, $($field:tt)+) => {
+        Setting { key: $key, kind: Kind::Switch { planned: $planned, put: |settings, on| settings.$($field)+ = on } }
+    };
+}
+
+/// Every setting, in the order of `default.toml`.
+pub(super) const SETTINGS: &[Setting] = &[
+    Setting {
+        key: "tracking.pose_models",
+        kind: Kind::Choice { available: &["both", "essential", "pnp"], planned: &[], put: put_pose_models },
+    },
+    Setting {
+        key: "tracking.dynamic_filter",
+        kind: Kind::Choice { available: &["off", "paper", "region"], planned: &[], put: put_dynamic_filter },
+    },
+    Setting {
+        key: "tracking.dense_fallback",
+        kind: Kind::Choice {
+            available: &["off"],
+            planned: &["on"],
+            put: |settings, word| settings.tracking.dense_fallback = word == "on",
+        },
+    },
+    Setting {
+        key: "tracking.bundle_adjustment",
+        kind: Kind::Choice {
+            available: &["off", "on"],
+            planned: &[],
+            put: |settings, word| settings.tracking.tracker.bundle_adjustment = word == "on",
+        },
+    },
+    Setting {
+        key: "tracking.matcher",
+        kind: Kind::Choice {
+            available: &["classical"],
+            planned: &["xfeat", "disk"],
+            put: |settings, _| settings.tracking.matcher = Matcher::Classical,
+        },
+    },
+    whole!("tracking.lk_levels", Range::closed(1.0, 6.0), tracking.tracker.tracks.lk.n_levels),
+    whole!("tracking.lk_max_steps", Range::closed(1.0, 100.0), tracking.tracker.tracks.lk.max_steps),
+    number!("tracking.lk_min_eigenvalue", Range::closed(0.0, 1000.0), tracking.tracker.tracks.lk.min_eigenvalue),
+    number!("tracking.lk_min_correlation", Range::closed(-1.0, 1.0), tracking.tracker.tracks.lk.min_correlation),
+    number!("tracking.lk_max_backward_px", Range::open_closed(0.0, 10.0), tracking.tracker.tracks.lk.max_backward_px),
+    number!("tracking.refine_max_px", Range::open_closed(0.0, 10.0), tracking.tracker.tracks.max_refine_px),
+    number!("tracking.corner_cell_px", Range::closed(8.0, 48.0), tracking.tracker.tracks.corners.cell_px),
+    number!(
+        "tracking.corner_min_distance_px",
+        Range::closed(0.0, 48.0),
+        tracking.tracker.tracks.corners.min_distance_px
+    ),
+    number!(
+        "tracking.corner_min_eigenvalue",
+        Range::closed(0.0, 10000.0),
+        tracking.tracker.tracks.corners.min_eigenvalue
+    ),
+    number!("tracking.gate_min_flow_px", Range::open_closed(0.0, 500.0), tracking.tracker.gate.min_flow_px),
+    number!("tracking.gate_min_survivors_ratio", Range::closed(0.0, 1.0), tracking.tracker.gate.min_survivors_ratio),
+    whole!("tracking.gate_min_tracks", Range::closed(0.0, 65536.0), tracking.tracker.gate.min_tracks),
+    number!("tracking.noise_px", Range::closed(0.05, 2.0), tracking.tracker.noise_px),
+    number!("tracking.essential_inlier_px", Range::closed(0.1, 4.0), tracking.tracker.essential_inlier_px),
+    whole!("tracking.max_trials", Range::closed(20.0, 5000.0), tracking.tracker.max_trials),
+    number!("tracking.confidence", Range::closed_open(0.9, 1.0), tracking.tracker.confidence),
+    number!("tracking.pnp_inlier_sigmas", Range::closed(2.0, 10.0), tracking.tracker.pnp_inlier_sigmas),
+    whole!("tracking.min_inliers", Range::closed(6.0, 200.0), tracking.tracker.min_inliers),
+    number!("tracking.min_inlier_ratio", Range::closed(0.0, 1.0), tracking.tracker.min_inlier_ratio),
+    number!("tracking.min_in_front_ratio", Range::closed(0.0, 1.0), tracking.tracker.min_in_front_ratio),
+    number!("tracking.standing_flow_px", Range::closed(0.05, 2.0), tracking.tracker.standing_flow_px),
+    number!("tracking.first_flow_px", Range::closed(2.0, 50.0), tracking.tracker.first_flow_px),
+    whole!("tracking.max_doubtful_frames", Range::closed(1.0, 100.0), tracking.tracker.max_doubtful_frames),
+    whole!("tracking.min_corners", Range::closed(8.0, 500.0), tracking.tracker.min_corners),
+    whole!("tracking.bundle_iterations", Range::closed(1.0, 50.0), tracking.tracker.bundle_iterations),
+    number!("tracking.outlier_sigmas", Range::closed(2.0, 20.0), tracking.tracker.outlier_sigmas),
+    number!("tracking.below_road_ratio", Range::closed(0.0, 1.0), tracking.tracker.below_road_ratio),
+    number!("tracking.normal_adaptation", Range::closed(0.0, 1.0), tracking.tracker.normal_adaptation),
+    number!("tracking.max_normal_deviation_rad", Range::closed(0.0, 0.2), tracking.tracker.max_normal_deviation_rad),
+    number!("tracking.road_nearest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[0]),
+    number!("tracking.road_farthest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[1]),
+    number!("tracking.road_half_width_m", Range::closed(0.5, 4.0), tracking.tracker.road.half_width_m),
+    number!("tracking.road_pitch_sigma_rad", Range::closed(0.001, 0.1), tracking.tracker.road.normal_sigma_rad[0]),
+    number!("tracking.road_roll_sigma_rad", Range::closed(0.001, 0.1), tracking.tracker.road.normal_sigma_rad[1]),
+    whole!("tracking.road_working_width_px", Range::closed(300.0, 2000.0), tracking.tracker.road.working_width_px),
+    whole!("tracking.road_max_iterations", Range::closed(1.0, 30.0), tracking.tracker.road.max_iterations),
+    whole!("tracking.road_min_pixels", Range::closed(50.0, 5000.0), tracking.tracker.road.min_pixels),
+    number!("tracking.road_min_correlation", Range::closed(0.0, 1.0), tracking.tracker.road.min_correlation),
+    number!("tracking.road_min_flow_px", Range::closed(1.0, 50.0), tracking.tracker.road.min_flow_px),
+    number!("tracking.scale_first_sigma", Range::closed(0.1, 3.0), tracking.tracker.scale.first_sigma),
+    number!("tracking.scale_drift_per_sqrt_m", Range::closed(0.0001, 0.05), tracking.tracker.scale.drift_per_sqrt_m),
+    number!("tracking.scale_measurement_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.measurement_sigma),
+    number!("tracking.scale_gate_sigmas", Range::closed(2.0, 5.0), tracking.tracker.scale.gate_sigmas),
+    whole!("tracking.scale_max_rejections", Range::closed(3.0, 100.0), tracking.tracker.scale.max_rejections),
+    number!(
+        "tracking.motion_max_turn_change_rad_per_s",
+        Range::closed(0.1, 10.0),
+        tracking.tracker.motion.max_turn_change_rad_per_s
+    ),
+    number!("tracking.motion_max_side_slip_rad", Range::closed(0.05, 1.5), tracking.tracker.motion.max_side_slip_rad),
+    number!("tracking.motion_min_step_m", Range::closed(0.01, 2.0), tracking.tracker.motion.min_step_m),
+    number!("tracking.motion_max_speed_m_per_s", Range::closed(1.0, 200.0), tracking.tracker.motion.max_speed_m_per_s),
+    number!(
+        "tracking.motion_max_acceleration_m_per_s2",
+        Range::closed(1.0, 200.0),
+        tracking.tracker.motion.max_acceleration_m_per_s2
+    ),
+    switch!("tracking.motion_reverse_allowed", None, tracking.tracker.motion.reverse_allowed),
+    switch!("mapping.enabled", None, mapping.enabled),
+    number!("mapping.resolution", Range::closed(0.125, 1.0), mapping.mapper.resolution),
+    whole!("mapping.window", Range::closed(1.0, 64.0), mapping.mapper.window),
+    whole!("mapping.older_views", Range::closed(0.0, 64.0), mapping.mapper.older_views),
+    number!("mapping.newest_share", Range::closed(0.0, 1.0), mapping.mapper.newest_share),
+    number!("mapping.older_share", Range::closed(0.0, 1.0), mapping.mapper.older_share),
+    number!("mapping.min_confidence", Range::closed(0.0, 1.0), mapping.mapper.min_confidence),
+    number!("mapping.page_distance_m", Range::closed(10.0, 10000.0), mapping.mapper.page_distance_m),
+    number!("mapping.min_opacity", Range::closed(0.0, 1.0), mapping.mapper.min_opacity),
+    number!("mapping.max_width_ratio", Range::open_closed(0.0, 1.0), mapping.mapper.max_width_ratio),
+    number!("mapping.insertion_structure_weight", Range::closed(0.0, 1.0), mapping.mapper.insertion.structure_weight),
+    number!("mapping.insertion_depth_edge_weight", Range::closed(0.0, 1.0), mapping.mapper.insertion.depth_edge_weight),
+    number!(
+        "mapping.insertion_samples_per_pixel",
+        Range::open_closed(0.0, 0.1),
+        mapping.mapper.insertion.samples_per_pixel
+    ),
+    number!("mapping.insertion_bare_probability", Range::closed(0.0, 1.0), mapping.mapper.insertion.bare_probability),
+    number!("mapping.insertion_error_weight", Range::closed(0.0, 10.0), mapping.mapper.insertion.error_weight),
+    number!(
+        "mapping.insertion_sigma_per_spacing",
+        Range::open_closed(0.0, 5.0),
+        mapping.mapper.insertion.sigma_per_spacing
+    ),
+    number!("mapping.spawn_opacity", Range::open(0.0, 1.0), mapping.mapper.spawn.opacity),
+    number!("mapping.spawn_max_stretch", Range::closed(1.0, 100.0), mapping.mapper.spawn.max_stretch),
+    number!("mapping.spawn_flatness", Range::open_closed(0.0, 1.0), mapping.mapper.spawn.flatness),
+    number!("mapping.stereo_nearest_m", Range::closed(0.5, 50.0), mapping.mapper.stereo.nearest_m),
+    number!("mapping.stereo_farthest_m", Range::closed(10.0, 1000.0), mapping.mapper.stereo.farthest_m),
+    number!("mapping.stereo_min_baseline_m", Range::closed(0.05, 5.0), mapping.mapper.stereo.min_baseline_m),
+    number!("mapping.loss_l1", Range::closed(0.0, 100.0), mapping.mapper.step.weights.l1),
+    number!("mapping.loss_ssim", Range::closed(0.0, 100.0), mapping.mapper.step.weights.ssim),
+    number!("mapping.loss_depth", Range::closed(0.0, 100.0), mapping.mapper.step.weights.depth),
+    number!("mapping.loss_isotropy", Range::closed(0.0, 100.0), mapping.mapper.step.weights.isotropy),
+    number!("mapping.loss_exposure", Range::closed(0.0, 100.0), mapping.mapper.step.weights.exposure),
+    switch!("loop_closure.enabled", Some(true), loop_closure.enabled),
+];
+
+fn put_pose_models(settings: &mut Settings, word: &str) {
+    settings.tracking.tracker.pose_models = match word {
+        "essential" => PoseModels::Essential,
+        "pnp" => PoseModels::Pnp,
+        _ => PoseModels::Both,
+    };
+}
+
+fn put_dynamic_filter(settings: &mut Settings, word: &str) {
+    settings.tracking.tracker.dynamic_filter = match word {
+        "off" => DynamicFilter::Off,
+        "paper" => DynamicFilter::Paper,
+        _ => DynamicFilter::Region,
+    };
+}
