@@ -160,6 +160,68 @@ fn a_killed_camera_is_told_within_a_second_and_another_one_taken_up() {
     assert_eq!(input.camera_state(), CameraState::Sending);
 }
 
+fn signal(camera: &CameraChild, name: &str) {
+    let status = std::process::Command::new("kill").args([name, &camera.id().to_string()]).status();
+    assert!(status.is_ok_and(|status| status.success()), "kill {name}");
+}
+
+#[test]
+fn a_stopped_camera_is_silent_and_not_gone() {
+    let recording = grey_recording(10);
+    let (mut input, service) = open("stopped");
+    let camera = camera(recording.path(), &service, &[]);
+    while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
+    signal(&camera, "-STOP");
+    loop {
+        match input.wait(Duration::from_millis(400)).expect("shared memory") {
+            InputEvent::Frame(_) => (),
+            InputEvent::Timeout(state) => break assert_eq!(state, CameraState::Silent),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(input.describe_state().contains("is it stopped"), "{}", input.describe_state());
+    signal(&camera, "-CONT");
+    let heard = listen(&mut input, |_, _| ());
+    assert_eq!((heard.sequences.last(), input.camera_state()), (Some(&9), CameraState::Ended));
+}
+
+#[test]
+fn an_interrupted_camera_ends_its_stream_and_exits_cleanly() {
+    let recording = grey_recording(600);
+    let (mut input, service) = open("interrupted");
+    let mut camera = camera(recording.path(), &service, &["--live", "--wait-for-tracker", "30"]);
+    while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
+    signal(&camera, "-INT");
+    let heard = listen(&mut input, |_, _| ());
+    assert!(heard.sequences.len() < 500, "{}", heard.sequences.len());
+    drop(input);
+    assert_eq!(camera.wait(PATIENCE).and_then(|status| status.code()), Some(0));
+}
+
+#[test]
+fn the_end_is_heard_even_when_the_camera_did_not_wait_for_it() {
+    let recording = grey_recording(3);
+    let (mut input, service) = open("slow");
+    let mut camera = camera(recording.path(), &service, &["--live", "--rate", "100", "--wait-for-tracker", "30"]);
+    while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
+    assert!(camera.wait(PATIENCE).is_some());
+    listen(&mut input, |_, _| ());
+    assert_eq!(input.counts().n_received + input.counts().n_missing, 3);
+}
+
+#[test]
+fn ping_pong_goes_to_and_fro_and_time_goes_on() {
+    let recording = grey_recording(4);
+    let (mut input, service) = open("ping-pong");
+    let _camera = camera(recording.path(), &service, &["--start", "1", "--ping-pong", "2"]);
+    let shown = std::cell::RefCell::new(Vec::new());
+    let heard = listen(&mut input, |_, pixels| shown.borrow_mut().push(pixels[0]));
+    let frames = [vec![1, 2, 3], vec![3; 10], vec![2, 1]].concat();
+    assert_eq!(*shown.borrow(), frames.iter().map(|&index| grey_value(index, 0, 0)).collect::<Vec<u8>>());
+    let times: Vec<u64> = (1..16).map(|step| step * 100_000_000).collect();
+    assert_eq!(heard.times_ns, times);
+}
+
 #[test]
 fn a_live_camera_overwrites_the_oldest_and_the_gap_is_counted() {
     let recording = grey_recording(30);

@@ -1,14 +1,16 @@
 //! Where frames come in: the camera service, read in place, and the camera child of a replay.
 
+mod borrowed_frame;
 mod camera_child;
 mod camera_link;
 mod counts;
 mod frame_input;
 mod mapping;
 
+pub use borrowed_frame::BorrowedFrame;
 pub use camera_child::CameraChild;
 pub use counts::{CameraState, InputCounts};
-pub use frame_input::{BorrowedFrame, FrameInput, InputEvent, InputSettings};
+pub use frame_input::{FrameInput, InputEvent, InputSettings};
 pub use kilogs_camera::ipc::{FrameSlots, HeaderVerdict, ServiceFormat, unique_service_name};
 pub use mapping::SharedMapping;
 

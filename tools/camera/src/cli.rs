@@ -1,5 +1,6 @@
 //! The command line of the capture process; `kilogs` runs it in a child of its own.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -143,6 +144,69 @@ impl CameraError {
     }
 }
 
+impl CameraArgs {
+    /// The words that parse to these arguments, for a child process.
+    pub fn to_words(&self) -> Vec<OsString> {
+        let mut words = Words::default();
+        let (publish, is_published) = match &self.source {
+            SourceArgs::Folder(folder) => {
+                words.word("folder").word(&folder.dataset);
+                words.option("--camera", folder.camera.as_ref());
+                words.option("--fps", folder.fps.map(|fps| fps.to_string()));
+                words.option("--start", Some(folder.range.start.to_string()));
+                words.option("--frames", folder.range.frames.map(|frames| frames.to_string()));
+                words.option("--ping-pong", Some(folder.range.ping_pong.to_string()));
+                (&folder.publish, true)
+            }
+            SourceArgs::Sim(SimulationArgs { sim, truth, write, publish }) => {
+                let SimArgs { seed, path, length, width, height, fps, mono, noise } = sim;
+                words.word("sim").option("--seed", Some(seed.to_string()));
+                words.option("--path", path.as_ref());
+                words.option("--length", Some(length.to_string()));
+                words.option("--width", Some(width.to_string()));
+                words.option("--height", Some(height.to_string()));
+                words.option("--fps", Some(fps.to_string()));
+                words.switch("--mono", *mono);
+                words.option("--noise", Some(noise.to_string()));
+                words.option("--truth", truth.as_ref()).option("--write", write.as_ref());
+                (publish, write.is_none())
+            }
+        };
+        let PublishArgs { service, live, rate, wait_for_tracker, end_with_tracker, camera_id, quiet } = publish;
+        words.option("--service", is_published.then_some(service)).switch("--live", *live);
+        words.option("--rate", live.then(|| rate.to_string()));
+        words.option("--wait-for-tracker", wait_for_tracker.map(|seconds| seconds.to_string()));
+        words.switch("--end-with-tracker", *end_with_tracker);
+        words.option("--camera-id", Some(camera_id.to_string())).switch("--quiet", *quiet);
+        words.0
+    }
+}
+
+/// A command line in the making.
+#[derive(Default)]
+struct Words(Vec<OsString>);
+
+impl Words {
+    fn word(&mut self, word: impl Into<OsString>) -> &mut Self {
+        self.0.push(word.into());
+        self
+    }
+
+    /// `name=value` in one word, so that a value may begin with a dash.
+    fn option(&mut self, name: &str, value: Option<impl Into<OsString>>) -> &mut Self {
+        if let Some(value) = value {
+            let mut word = OsString::from(format!("{name}="));
+            word.push(value.into());
+            self.0.push(word);
+        }
+        self
+    }
+
+    fn switch(&mut self, name: &str, is_on: bool) -> &mut Self {
+        if is_on { self.word(name) } else { self }
+    }
+}
+
 impl RangeArgs {
     /// The part as the source understands it.
     pub fn range(&self) -> PlaybackRange {
@@ -251,8 +315,9 @@ mod tests {
     fn settings(words: &[&str]) -> Result<PublishSettings, String> {
         let args = CameraArgs::try_parse_from(["kilogs-camera", "folder", "data"].iter().chain(words));
         match args.map_err(|e| e.to_string())?.source {
-            SourceArgs::Folder(folder) => Ok(folder.publish.settings()),
-            SourceArgs::Sim(_) => Err("a folder was asked for".to_owned()),
+            SourceArgs::Folder(FolderArgs { publish, .. }) | SourceArgs::Sim(SimulationArgs { publish, .. }) => {
+                Ok(publish.settings())
+            }
         }
     }
 
@@ -268,5 +333,24 @@ mod tests {
         {
             assert!(settings(bad).is_err(), "{bad:?}");
         }
+    }
+
+    #[test]
+    fn arguments_survive_the_way_to_a_child_process() {
+        let check = |line: &str| {
+            let parse = |words: Vec<OsString>| {
+                CameraArgs::try_parse_from([OsString::from("kilogs-camera")].into_iter().chain(words))
+                    .unwrap_or_else(|e| panic!("{line}: {e}"))
+            };
+            let first = parse(line.split(' ').map(OsString::from).collect());
+            assert_eq!(format!("{:?}", parse(first.to_words())), format!("{first:?}"), "{line}");
+        };
+        check("folder data");
+        check("folder data --camera kitti --fps 12.5 --start 3 --frames 9 --ping-pong 2 --service a/b --camera-id 4");
+        check("folder data --live --rate 0.3 --wait-for-tracker 1.5 --end-with-tracker --quiet");
+        check("sim");
+        check("sim --seed 9 --path poses.txt --length 50 --width 160 --height 64 --fps 20 --mono --noise 0.5 --live");
+        check("sim --truth out --service x");
+        check("sim --write out");
     }
 }

@@ -348,4 +348,25 @@ mod tests {
         let verdict = FrameHeader::packed(0, 0, [6, 4], PixelFormat::Rgb8).judge(&open, None, SENT_BYTES);
         assert_eq!(verdict, HeaderVerdict::Accept { pixel_format: PixelFormat::Rgb8, n_missing: 0 });
     }
+
+    #[test]
+    fn no_header_whatever_passes_with_pixels_outside_its_payload() {
+        let mut rng = kilogs_core::math::Rng::new(1, 2, 3);
+        let mut n_accepted = 0;
+        for _ in 0..200_000 {
+            let mut header = good();
+            // Spoils one to three bytes of a good header.
+            for _ in 0..1 + rng.next_u32() % 3 {
+                let at = rng.next_u32() as usize % size_of::<FrameHeader>();
+                header.as_mut_bytes()[at] = rng.next_u32() as u8;
+            }
+            let sent_bytes = u64::from(rng.next_u32() % 64);
+            if let HeaderVerdict::Accept { pixel_format, .. } = header.judge(&SERVICE, Some(PREVIOUS), sent_bytes) {
+                n_accepted += 1;
+                assert!(header.payload_bytes <= sent_bytes && pixel_format == PixelFormat::Mono8);
+                assert!(u64::from(header.stride_bytes) * 4 <= header.payload_bytes && header.stride_bytes >= 6);
+            }
+        }
+        assert!(n_accepted > 1000, "{n_accepted}");
+    }
 }

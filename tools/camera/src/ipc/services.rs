@@ -60,14 +60,32 @@ impl FrameSlots {
     /// Frames that the camera writes at once.
     const LOANED: usize = 1;
 
+    /// The best division of `n_slots`, `None` where they do not suffice for one tracker.
+    pub const fn within(n_slots: usize) -> Option<Self> {
+        let Some(for_readers) = n_slots.checked_sub(Self::LOANED) else { return None };
+        match for_readers {
+            0..2 => None,
+            2..4 => Some(Self { subscribers: 1, buffered: for_readers - 1, borrowed: 1 }),
+            4..8 => Some(Self { subscribers: 1, buffered: for_readers - 2, borrowed: 2 }),
+            _ => Some(Self { subscribers: 2, buffered: for_readers / 2 - 2, borrowed: 2 }),
+        }
+    }
+
     /// Slots in all, as iceoryx2 reserves them per camera process.
     pub const fn n_slots(&self) -> usize {
         self.subscribers * (self.buffered + self.borrowed) + Self::LOANED
     }
 
-    /// Shared memory that frames of `packed_bytes` take, with iceoryx2's and our header, one page per slot.
+    /// Pages per slot for iceoryx2's and our header, which stand before the page-aligned pixels.
+    const HEADER_PAGES: usize = 1;
+
+    /// Pages per camera process in which iceoryx2 keeps account of the slots (measured, the same for all sizes).
+    const ACCOUNT_PAGES: usize = 2;
+
+    /// Shared memory that frames of `packed_bytes` take, per camera process.
     pub const fn shared_bytes(&self, packed_bytes: u64) -> u64 {
-        self.n_slots() as u64 * ((FramePage::needed_for(packed_bytes) + 1) * PAGE_BYTES) as u64
+        let pages_per_slot = FramePage::needed_for(packed_bytes) + Self::HEADER_PAGES;
+        ((self.n_slots() * pages_per_slot + Self::ACCOUNT_PAGES) * PAGE_BYTES) as u64
     }
 }
 
@@ -229,10 +247,29 @@ mod tests {
     #[test]
     fn nine_slots_hold_kitti_in_the_planned_memory() {
         assert_eq!(FrameSlots::DEFAULT.n_slots(), 9);
-        let rgb_bytes = FrameSlots::DEFAULT.shared_bytes(1241 * 376 * 3);
-        assert!((12_600_000..12_800_000).contains(&rgb_bytes), "{rgb_bytes}");
-        let tiny = FrameSlots { subscribers: 1, buffered: 1, borrowed: 1 };
-        assert_eq!((tiny.n_slots(), tiny.shared_bytes(1)), (3, 3 * 8192));
+        // The sizes of the mappings that iceoryx2 made for these images.
+        assert_eq!(FrameSlots::DEFAULT.shared_bytes(1226 * 370), 4_136_960);
+        assert_eq!(FrameSlots::DEFAULT.shared_bytes(1242 * 375 * 3), 12_652_544);
+        assert_eq!(FrameSlots::DEFAULT.shared_bytes(416 * 128 * 3), 1_482_752);
+    }
+
+    #[test]
+    fn slots_are_divided_without_exceeding_them() {
+        let check = |n_slots, expected: Option<[usize; 3]>| {
+            let found = FrameSlots::within(n_slots);
+            assert_eq!(found.map(|slots| [slots.subscribers, slots.buffered, slots.borrowed]), expected, "{n_slots}");
+            assert!(found.is_none_or(|slots| slots.n_slots() <= n_slots));
+        };
+        check(0, None);
+        check(2, None);
+        check(3, Some([1, 1, 1]));
+        check(4, Some([1, 2, 1]));
+        check(5, Some([1, 2, 2]));
+        check(8, Some([1, 5, 2]));
+        check(9, Some([2, 2, 2]));
+        check(10, Some([2, 2, 2]));
+        check(64, Some([2, 29, 2]));
+        assert_eq!(FrameSlots::within(FrameSlots::DEFAULT.n_slots()), Some(FrameSlots::DEFAULT));
     }
 
     #[test]
