@@ -15,15 +15,15 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:\n  kilogs export out/04/map --ply street.ply\n\n\
     The file has the layout of the reference 3D Gaussian splatting; SuperSplat, antimatter15/splat and others open it.")]
-#[group(id = "format", required = true, multiple = false, args = ["ply", "spz"])]
+#[command(group(clap::ArgGroup::new("format").required(true).multiple(false)))]
 pub struct ExportArgs {
     /// Folder of the map (the one with manifest.kgs), or of the run that holds it.
     pub map: PathBuf,
     /// Write a PLY file.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", group = "format")]
     pub ply: Option<PathBuf>,
     /// Write an SPZ file; not available yet.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", group = "format")]
     pub spz: Option<PathBuf>,
 }
 

@@ -142,3 +142,23 @@ fn spz_and_a_missing_map_are_refused_with_their_exit_codes() {
     let error = export(scratch.path(), &scratch.path().join("a.ply")).expect_err("no map");
     assert!(error.code() == 5 && error.to_string().contains("manifest.kgs"), "{error}");
 }
+
+#[derive(Debug, clap::Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    args: ExportArgs,
+}
+
+#[test]
+fn the_command_line_takes_a_map_and_exactly_one_format() {
+    use clap::Parser;
+    let check = |line: &str, accepted: bool| {
+        let parsed = CommandLine::try_parse_from(line.split(' '));
+        assert_eq!(parsed.is_ok(), accepted, "{line}: {parsed:?}");
+    };
+    check("export out/04/map --ply street.ply", true);
+    check("export --spz street.spz out/04/map", true);
+    check("export out/04/map", false);
+    check("export --ply street.ply", false);
+    check("export out/04/map --ply street.ply --spz street.spz", false);
+}

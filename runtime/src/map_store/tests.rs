@@ -393,3 +393,25 @@ fn a_folder_that_cannot_be_written_is_an_error_with_advice() {
         assert!(error.contains(text), "{error}");
     }
 }
+
+#[test]
+fn handing_over_allocates_nothing() {
+    let scratch = scratch();
+    let store = create(scratch.path());
+    let pixels = vec![7; (SIZE.0 * SIZE.1 * 3) as usize];
+    let image = StoreImage { pixels: &pixels, stride_bytes: SIZE.0 as usize * 3 };
+    let sealed = crate::seal::enter();
+    // More than there are buffers: the writer waits for the disk in between.
+    for page_id in 0..8 {
+        let taken = store.write_keyframe(&keyframe(page_id * 2), image);
+        let taken = taken.and_then(|()| store.place_keyframe(&keyframe(page_id * 2 + 1)));
+        let taken = taken.and_then(|()| write_page(&store, page_id));
+        let label = ChunkLabel { chunk_id: page_id, ..ChunkLabel::default() };
+        let background = ChunkBackground { width: 2, texels: &[[0.25; 3]; 4] };
+        let taken = taken.and_then(|()| store.write_chunk(&label, DecoderParams::EXPLICIT, background));
+        assert_eq!(taken, Ok(()));
+    }
+    assert_eq!(sealed.violations(), (0, 0));
+    drop(sealed);
+    assert_eq!(store.finish().map(|summary| summary.counts.pages).ok(), Some(8));
+}

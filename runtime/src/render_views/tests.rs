@@ -232,3 +232,21 @@ fn the_command_renders_every_pose_and_refuses_what_it_cannot() {
     let error = command::run(&missing, &map, &mut StubBackend::new(100, 9, 2)).expect_err("no trajectory");
     assert!(error.code() == 3 && error.to_string().contains("none.txt"), "{error}");
 }
+
+#[derive(Debug, clap::Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    args: command::RenderArgs,
+}
+
+#[test]
+fn the_command_line_takes_a_map_a_trajectory_and_a_folder() {
+    use clap::Parser;
+    let check = |line: &str, accepted: bool| {
+        let parsed = CommandLine::try_parse_from(line.split(' '));
+        assert_eq!(parsed.is_ok(), accepted, "{line}: {parsed:?}");
+    };
+    check("render out/04/map --trajectory keyframes_tum.txt --out views", true);
+    check("render out/04/map --trajectory keyframes_tum.txt", false);
+    check("render --trajectory keyframes_tum.txt --out views", false);
+}
