@@ -68,7 +68,7 @@ pub enum PublishError {
     Ipc(#[from] IpcError),
     /// Nobody came.
     #[error(
-        "waiting for a tracker at \"{service}\": none within {waited_s:.0} s; start `kilogs run --service {service}`, \
+        "waiting for a tracker at \"{service}\": none within {waited_s:.1} s; start `kilogs run --service {service}`, \
          or publish with --live"
     )]
     NoTracker {

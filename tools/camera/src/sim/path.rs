@@ -28,7 +28,7 @@ impl Waypoint {
     }
 }
 
-/// A drive: the curve sampled every [`SPACING_M`], and how far along it the vehicle is at each frame.
+/// A drive: the curve sampled every `SPACING_M`, and how far along it the vehicle is at each frame.
 #[derive(Debug, Clone)]
 pub struct Drive {
     waypoints: Vec<Waypoint>,
@@ -120,7 +120,7 @@ impl Drive {
         Waypoint { x: a.x + (b.x - a.x) * t, z: a.z + (b.z - a.z) * t, heading_rad: a.heading_rad + turn * t_heading }
     }
 
-    /// The whole way, every [`SPACING_M`].
+    /// The whole way, every `SPACING_M`.
     pub fn waypoints(&self) -> &[Waypoint] {
         &self.waypoints
     }
