@@ -5,7 +5,7 @@ use super::cull::KeyframeNumbers;
 use super::decode::{N_PARAMS, group};
 use super::draw::{Drawn, Machine, ViewBuffers};
 use super::exposures::{EXPOSURE_BYTES, Exposures};
-use super::loss::{LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
+use super::loss::{ExposureGradient, LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
 use super::simd::{Dispatch, SimdLevel};
 use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
 use super::splats::{Lists, PAIR_BYTES, ROW_ENTRY_BYTES, VISIBLE_BYTES};
@@ -157,6 +157,50 @@ impl CpuBackend {
         update(machine, view, drawn.n_candidates, rule, target, &self.view.lists)
     }
 
+    /// Everything of a training step but the steps of background and exposure.
+    fn pass(
+        &mut self,
+        training: &TrainingView<'_>,
+        settings: &StepSettings,
+        collected: Option<&mut [[f32; N_PARAMS]]>,
+    ) -> Pass {
+        let drawn = self.draw(&training.view);
+        let input = LossInput {
+            width: drawn.grid.width,
+            target: training.target,
+            depth: training.depth,
+            exposure: training.exposure_slot.and_then(|slot| self.exposures.get(slot)),
+            weights: settings.weights,
+        };
+        let planes = self.view.drawn(drawn.grid.n_pixels());
+        let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
+        let n_visible = drawn.n_splats.max(1) as f32;
+        let rule = UpdateRule {
+            rates: rates_per_number(&settings.rates, settings.progress),
+            isotropy_weight: settings.weights.isotropy / n_visible,
+        };
+        loss.isotropy = self.learn(&drawn, &rule, collected) as f32 / n_visible;
+        loss.total += settings.weights.isotropy * loss.isotropy;
+        Pass { report: StepReport { loss, stats: drawn.stats }, exposure_gradient }
+    }
+
+    /// Loss of a training view and its gradients with respect to every Gaussian's trained numbers (`slot * k + i`; 0
+    /// where nothing is visible) and to the background's texels. For tests and for the conformance of other backends;
+    /// trains nothing. `None` when a length or the view does not fit.
+    pub fn training_gradients(
+        &mut self,
+        training: &TrainingView<'_>,
+        settings: &StepSettings,
+        params: &mut [[f32; N_PARAMS]],
+    ) -> Option<(StepReport, &[[f32; 3]])> {
+        if !self.fits_training(training) || params.len() != self.anchors.params.len() {
+            return None;
+        }
+        params.fill([0.0; N_PARAMS]);
+        let report = self.pass(training, settings, Some(params)).report;
+        Some((report, self.sky.last_gradients()))
+    }
+
     /// Gradients of `sum(rgb * upstream_rgb) + sum(depth * upstream_depth) + sum(transmittance *
     /// upstream_transmittance)` with respect to every Gaussian's trained numbers (`slot * k + i`; 0 where nothing is
     /// visible) and to the background's texels. For tests and for the conformance of other backends; trains nothing.
@@ -180,6 +224,16 @@ impl CpuBackend {
         self.learn(&drawn, &rule, Some(params));
         Some(self.sky.last_gradients())
     }
+}
+
+/// What one pass over a training view found.
+struct Pass {
+    report: StepReport,
+    exposure_gradient: ExposureGradient,
+}
+
+fn refused_step() -> StepReport {
+    StepReport { stats: RenderStats { refused: true, ..RenderStats::default() }, ..StepReport::default() }
 }
 
 fn rates_per_number(rates: &LearningRates, progress: f32) -> [f32; N_PARAMS] {
@@ -261,32 +315,17 @@ impl SplatBackend for CpuBackend {
 
     fn train_step(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
         if !self.fits_training(training) {
-            let stats = RenderStats { refused: true, ..RenderStats::default() };
-            return StepReport { stats, ..StepReport::default() };
+            return refused_step();
         }
-        let drawn = self.draw(&training.view);
-        let input = LossInput {
-            width: drawn.grid.width,
-            target: training.target,
-            depth: training.depth,
-            exposure: training.exposure_slot.and_then(|slot| self.exposures.get(slot)),
-            weights: settings.weights,
-        };
-        let planes = self.view.drawn(drawn.grid.n_pixels());
-        let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
-        let (rates, progress) = (&settings.rates, settings.progress);
-        let n_visible = drawn.n_splats.max(1) as f32;
-        let rule = UpdateRule {
-            rates: rates_per_number(rates, progress),
-            isotropy_weight: settings.weights.isotropy / n_visible,
-        };
-        loss.isotropy = self.learn(&drawn, &rule, None) as f32 / n_visible;
-        self.sky.step(training.view.chunk_row, rates.background.at(progress));
+        let mut pass = self.pass(training, settings, None);
+        let progress = settings.progress;
+        self.sky.step(training.view.chunk_row, settings.rates.background.at(progress));
         if let Some(slot) = training.exposure_slot {
-            let rate = rates.exposure.at(progress);
-            loss.exposure = self.exposures.step(slot, &exposure_gradient, settings.weights.exposure, rate);
+            let weight = settings.weights.exposure;
+            let rate = settings.rates.exposure.at(progress);
+            pass.report.loss.exposure = self.exposures.step(slot, &pass.exposure_gradient, weight, rate);
+            pass.report.loss.total += weight * pass.report.loss.exposure;
         }
-        loss.total += settings.weights.isotropy * loss.isotropy + settings.weights.exposure * loss.exposure;
-        StepReport { loss, stats: drawn.stats }
+        pass.report
     }
 }

@@ -88,9 +88,12 @@ impl EntryJob<'_> {
                 continue;
             }
             let Some(entry) = out.next() else { break };
-            let columns = Ellipse::of(splat).columns_in(top.max(first_px), last_px.min(top + TILE_PX - 1), grid.width);
-            let [first_tile, last_tile] = columns.map_or([1, 0], |c| c.map(|px| (px / TILE_PX) as u16));
-            n_pairs += usize::from((last_tile + 1).saturating_sub(first_tile));
+            let slab = [top.max(first_px) as f32, last_px.min(top + TILE_PX - 1) as f32];
+            let [first, last] = Ellipse::of(splat).columns_in(slab, grid.width);
+            let [first_tile, last_tile] =
+                if first <= last { [first / TILE_PX as i32, last / TILE_PX as i32] } else { [1, 0] };
+            n_pairs += (last_tile + 1 - first_tile) as usize;
+            let [first_tile, last_tile] = [first_tile as u16, last_tile as u16];
             *entry = Entry { splat: i as u32, first_tile, last_tile };
         }
         self.n_pairs = n_pairs;
@@ -113,11 +116,12 @@ pub fn list_pairs(
             tile_ranges[usize::from(tile)][1] += 1;
         }
     }
-    let mut start = 0;
+    let mut needed = 0;
     for range in tile_ranges.iter_mut() {
         let n = range[1];
-        *range = [start, start];
-        start += n;
+        // What does not fit has an empty range at the end.
+        *range = [needed.min(pairs.len() as u32); 2];
+        needed += n;
     }
     let top = row * TILE_PX;
     for (i, entry) in entries.iter().enumerate() {
@@ -126,7 +130,7 @@ pub fn list_pairs(
         }
         let slabs = block_columns(&sorted[entry.splat as usize], top, grid.width);
         for tile in entry.first_tile..=entry.last_tile {
-            let blocks = blocks_of_tile(&slabs, usize::from(tile) * BLOCKS_PER_SIDE);
+            let blocks = blocks_of_tile(&slabs, i32::from(tile) * TILE_PX as i32);
             let end = &mut tile_ranges[usize::from(tile)][1];
             if blocks != 0
                 && let Some(pair) = pairs.get_mut(*end as usize)
@@ -139,33 +143,37 @@ pub fn list_pairs(
     tile_ranges.iter().map(|[first, end]| (end - first) as usize).sum()
 }
 
-/// First and last column of blocks in each row of blocks of a row of tiles.
+/// First and last pixel column that a splat reaches in each row of blocks of a row of tiles; the first is larger
+/// where it reaches none.
 #[inline(always)]
-fn block_columns(splat: &Splat, top: usize, width: usize) -> [Option<[usize; 2]>; BLOCKS_PER_SIDE] {
+fn block_columns(splat: &Splat, top: usize, width: usize) -> [[i32; 2]; BLOCKS_PER_SIDE] {
     let ellipse = Ellipse::of(splat);
-    let [first_px, last_px] = splat.rows_px.map(usize::from);
-    core::array::from_fn(|block_row| {
-        let block_top = top + block_row * BLOCK_PX;
-        let (first, last) = (block_top.max(first_px), last_px.min(block_top + BLOCK_PX - 1));
-        if first > last {
-            return None;
+    let [first_px, last_px] = [f32::from(splat.rows_px[0]), f32::from(splat.rows_px[1])];
+    let mut out = [NO_COLUMNS; BLOCKS_PER_SIDE];
+    for (block_row, columns) in out.iter_mut().enumerate() {
+        let block_top = (top + block_row * BLOCK_PX) as f32;
+        let slab = [block_top.max(first_px), last_px.min(block_top + (BLOCK_PX - 1) as f32)];
+        if slab[0] <= slab[1] {
+            *columns = ellipse.columns_in(slab, width);
         }
-        ellipse.columns_in(first, last, width).map(|c| c.map(|px| px / BLOCK_PX))
-    })
+    }
+    out
 }
 
-/// Bit mask of the blocks of the tile whose first column of blocks is given.
+/// An interval without columns.
+const NO_COLUMNS: [i32; 2] = [1, 0];
+
+/// Bit mask of the blocks of a tile, given the tile's first pixel column.
 #[inline(always)]
-fn blocks_of_tile(slabs: &[Option<[usize; 2]>; BLOCKS_PER_SIDE], first_column: usize) -> u32 {
+fn blocks_of_tile(slabs: &[[i32; 2]; BLOCKS_PER_SIDE], left: i32) -> u32 {
+    const LAST: i32 = TILE_PX as i32 - 1;
     let mut blocks = 0;
-    for (block_row, slab) in slabs.iter().enumerate() {
-        let Some([first, last]) = *slab else { continue };
-        if last < first_column || first >= first_column + BLOCKS_PER_SIDE {
-            continue;
+    for (block_row, &[first, last]) in slabs.iter().enumerate() {
+        let (first, last) = ((first - left).max(0), (last - left).min(LAST));
+        if first <= last {
+            let (low, high) = (first as u32 / BLOCK_PX as u32, last as u32 / BLOCK_PX as u32);
+            blocks |= ((2u32 << high) - (1u32 << low)) << (block_row * BLOCKS_PER_SIDE);
         }
-        let low = first.saturating_sub(first_column);
-        let high = (last - first_column).min(BLOCKS_PER_SIDE - 1);
-        blocks |= (((1u32 << (high - low + 1)) - 1) << low) << (block_row * BLOCKS_PER_SIDE);
     }
     blocks
 }
@@ -183,7 +191,8 @@ struct Ellipse {
     half_px: f32,
     /// dy of the rightmost point; the leftmost one is opposite.
     lean_px: f32,
-    height_px: f32,
+    /// One over half the height, 1/px.
+    inverse_height: f32,
 }
 
 impl Ellipse {
@@ -196,20 +205,26 @@ impl Ellipse {
             slope: -0.5 * xy / xx,
             half_px: (-reach / xx).sqrt(),
             lean_px: -0.5 * xy / yy * splat.extent_px[0],
-            height_px: splat.extent_px[1],
+            inverse_height: 1.0 / splat.extent_px[1],
         }
     }
 
-    /// First and last pixel column of the ellipse within pixel rows `first..=last`.
+    /// First and last pixel column of the ellipse within the pixel rows `first..=last`; the first is larger where
+    /// there is none.
     #[inline(always)]
-    fn columns_in(&self, first: usize, last: usize, width: usize) -> Option<[usize; 2]> {
-        let low = first as f32 + 0.5 - self.mean_px[1];
-        let high = last as f32 + 0.5 - self.mean_px[1];
-        let end = |lean: f32, side: f32| {
-            let dy = lean.max(low).min(high);
-            let relative = dy / self.height_px;
-            self.slope * dy + side * self.half_px * (1.0 - relative * relative).max(0.0).sqrt()
-        };
-        pixels_within(self.mean_px[0], end(-self.lean_px, -1.0), end(self.lean_px, 1.0), width)
+    fn columns_in(&self, [first, last]: [f32; 2], width: usize) -> [i32; 2] {
+        let low = first + 0.5 - self.mean_px[1];
+        let high = last + 0.5 - self.mean_px[1];
+        let leftmost = (-self.lean_px).max(low).min(high);
+        let rightmost = self.lean_px.max(low).min(high);
+        let left = self.slope * leftmost - self.half_width_px(leftmost);
+        let right = self.slope * rightmost + self.half_width_px(rightmost);
+        pixels_within(self.mean_px[0], left, right, width)
+    }
+
+    #[inline(always)]
+    fn half_width_px(&self, dy: f32) -> f32 {
+        let relative = dy * self.inverse_height;
+        self.half_px * (1.0 - relative * relative).max(0.0).sqrt()
     }
 }

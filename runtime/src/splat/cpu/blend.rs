@@ -78,24 +78,27 @@ impl Tile {
     #[inline(always)]
     fn blend<S: Simd>(&mut self, simd: S, sorted: &[Splat], entries: &[Entry], pairs: &[Pair], corner_px: [f32; 2]) {
         let mut alive_blocks = (1u32 << TILE_BLOCKS) - 1;
-        for pair in pairs {
-            let mut blocks = pair.blocks & alive_blocks;
-            if blocks == 0 {
-                if alive_blocks == 0 {
-                    return;
+        let mut batch = [Splat::default(); BATCH];
+        for pairs in pairs.chunks(BATCH) {
+            fetch(sorted, entries, pairs, &mut batch);
+            for (pair, splat) in pairs.iter().zip(&batch) {
+                let mut blocks = pair.blocks & alive_blocks;
+                if blocks == 0 {
+                    continue;
                 }
-                continue;
+                let lanes = SplatLanes::new(simd, splat);
+                let from_mean_px = [corner_px[0] - splat.mean_px[0], corner_px[1] - splat.mean_px[1]];
+                while blocks != 0 {
+                    let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
+                    blocks &= blocks - 1;
+                    let ended = self.blend_block(simd, &lanes, block, block_offset_px(block, from_mean_px));
+                    if ended && block_has_ended(simd, &self.channels[TRANSMITTANCE], block) {
+                        alive_blocks &= !(1 << block);
+                    }
+                }
             }
-            let splat = &sorted[entries[pair.entry as usize].splat as usize];
-            let lanes = SplatLanes::new(simd, splat);
-            let from_mean_px = [corner_px[0] - splat.mean_px[0], corner_px[1] - splat.mean_px[1]];
-            while blocks != 0 {
-                let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-                blocks &= blocks - 1;
-                let ended = self.blend_block(simd, &lanes, block, block_offset_px(block, from_mean_px));
-                if ended && self.block_has_ended(block) {
-                    alive_blocks &= !(1 << block);
-                }
+            if alive_blocks == 0 {
+                return;
             }
         }
     }
@@ -123,11 +126,29 @@ impl Tile {
         }
         any_ended
     }
+}
 
-    #[inline(always)]
-    fn block_has_ended(&self, block: usize) -> bool {
-        self.channels[TRANSMITTANCE][block * BLOCK_PIXELS..][..BLOCK_PIXELS].iter().all(|&t| t < 0.0)
+/// Splats fetched together, so that the cache misses of one do not wait for those of the other.
+pub const BATCH: usize = 16;
+
+/// Copies the splats of some pairs.
+#[inline(always)]
+pub fn fetch(sorted: &[Splat], entries: &[Entry], pairs: &[Pair], batch: &mut [Splat; BATCH]) {
+    for (pair, splat) in pairs.iter().zip(batch) {
+        *splat = sorted[entries[pair.entry as usize].splat as usize];
     }
+}
+
+/// Whether all pixels of a block have ended.
+#[inline(always)]
+pub fn block_has_ended<S: Simd>(simd: S, transmittance: &[f32; TILE_PIXELS], block: usize) -> bool {
+    let mut any_goes_on = false;
+    for lane in (0..BLOCK_PIXELS).step_by(S::F32_LANES) {
+        let at = block * BLOCK_PIXELS + lane;
+        let value = Wide::load(simd, &transmittance[at..at + S::F32_LANES]);
+        any_goes_on |= value.any(value.zero().lt(value));
+    }
+    !any_goes_on
 }
 
 /// Corner of a block as seen from a splat's mean, px.

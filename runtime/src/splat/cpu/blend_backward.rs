@@ -3,7 +3,7 @@
 //! The pixels are walked front to back once more: the same conditions give the same transmittances, and what lies
 //! behind a Gaussian is what is left of the pixel's total. Nothing per pair was kept.
 
-use super::blend::{SplatLanes, block_offset_px};
+use super::blend::{BATCH, SplatLanes, block_has_ended, block_offset_px, fetch};
 use super::grid::{BLOCK_PIXELS, Grid, TILE_BLOCKS, TILE_PIXELS, TILE_PX, gather_tile};
 use super::lane::{Lane, Wide};
 use super::splats::{Entry, GRAD_COLOR, MAX_ALPHA, MIN_TRANSMITTANCE, N_SPLAT_GRADS, Pair, Splat};
@@ -96,29 +96,32 @@ impl TileGradients {
         entry_grads: &mut [[f32; N_SPLAT_GRADS]],
     ) {
         let mut alive_blocks = (1u32 << TILE_BLOCKS) - 1;
-        for pair in pairs {
-            let mut blocks = pair.blocks & alive_blocks;
-            if blocks == 0 {
-                if alive_blocks == 0 {
-                    return;
+        let mut batch = [Splat::default(); BATCH];
+        for pairs in pairs.chunks(BATCH) {
+            fetch(sorted, entries, pairs, &mut batch);
+            for (pair, splat) in pairs.iter().zip(&batch) {
+                let mut blocks = pair.blocks & alive_blocks;
+                if blocks == 0 {
+                    continue;
                 }
-                continue;
-            }
-            let splat = &sorted[entries[pair.entry as usize].splat as usize];
-            let lanes = SplatLanes::new(simd, splat);
-            let from_mean_px = [corner_px[0] - splat.mean_px[0], corner_px[1] - splat.mean_px[1]];
-            let mut sums = [Wide::splat(simd, 0.0); N_SPLAT_GRADS];
-            while blocks != 0 {
-                let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
-                blocks &= blocks - 1;
-                let ended = self.walk_block(simd, &lanes, block, block_offset_px(block, from_mean_px), &mut sums);
-                if ended && self.block_has_ended(block) {
-                    alive_blocks &= !(1 << block);
+                let lanes = SplatLanes::new(simd, splat);
+                let from_mean_px = [corner_px[0] - splat.mean_px[0], corner_px[1] - splat.mean_px[1]];
+                let mut sums = [Wide::splat(simd, 0.0); N_SPLAT_GRADS];
+                while blocks != 0 {
+                    let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
+                    blocks &= blocks - 1;
+                    let ended = self.walk_block(simd, &lanes, block, block_offset_px(block, from_mean_px), &mut sums);
+                    if ended && block_has_ended(simd, &self.transmittance, block) {
+                        alive_blocks &= !(1 << block);
+                    }
+                }
+                let totals = &mut entry_grads[pair.entry as usize];
+                for i in 0..N_SPLAT_GRADS {
+                    totals[i] += sums[i].sum();
                 }
             }
-            let totals = &mut entry_grads[pair.entry as usize];
-            for i in 0..N_SPLAT_GRADS {
-                totals[i] += sums[i].sum();
+            if alive_blocks == 0 {
+                return;
             }
         }
     }
@@ -172,10 +175,5 @@ impl TileGradients {
             before.replace(hit.seen, next).store(&mut self.transmittance[pixels]);
         }
         any_ended
-    }
-
-    #[inline(always)]
-    fn block_has_ended(&self, block: usize) -> bool {
-        self.transmittance[block * BLOCK_PIXELS..][..BLOCK_PIXELS].iter().all(|&t| t < 0.0)
     }
 }

@@ -82,7 +82,7 @@ pub fn gather_tile(plane: &[f32], width: usize, tile_x: usize, tile: &mut [f32; 
         let row = &row[tile_x..tile_x + n_columns];
         for (column, pixels) in row.chunks(BLOCK_PX).enumerate() {
             let at = pixel_in_block_order(column * BLOCK_PX, y);
-            tile[at..at + pixels.len()].copy_from_slice(pixels);
+            copy_block_row(pixels, &mut tile[at..at + BLOCK_PX]);
         }
     }
 }
@@ -95,8 +95,17 @@ pub fn scatter_tile(tile: &[f32; TILE_PIXELS], width: usize, tile_x: usize, plan
         let row = &mut row[tile_x..tile_x + n_columns];
         for (column, pixels) in row.chunks_mut(BLOCK_PX).enumerate() {
             let at = pixel_in_block_order(column * BLOCK_PX, y);
-            pixels.copy_from_slice(&tile[at..at + pixels.len()]);
+            copy_block_row(&tile[at..at + BLOCK_PX], pixels);
         }
+    }
+}
+
+/// Copies as much as both hold; the usual length is known, so that it is one instruction.
+#[inline(always)]
+fn copy_block_row(from: &[f32], to: &mut [f32]) {
+    match (from.first_chunk::<BLOCK_PX>(), to.first_chunk_mut::<BLOCK_PX>()) {
+        (Some(from), Some(to)) => *to = *from,
+        _ => to.iter_mut().zip(from).for_each(|(to, from)| *to = *from),
     }
 }
 

@@ -172,9 +172,11 @@ impl ProjectedRows {
         if !(depth_m >= NEAR_PLANE_M && reach >= 0.0 && all_finite && is_ellipse) {
             return None;
         }
-        let size = [grid.width, grid.height];
-        let [columns, rows] = each!(i in 2 => pixels_within(mean_px[i], -extent_px[i], extent_px[i], size[i]));
-        columns?;
+        let columns = pixels_within(mean_px[0], -extent_px[0], extent_px[0], grid.width);
+        let rows = pixels_within(mean_px[1], -extent_px[1], extent_px[1], grid.height);
+        if columns[0] > columns[1] || rows[0] > rows[1] {
+            return None;
+        }
         Some(Splat {
             mean_px,
             conic_log2,
@@ -182,7 +184,7 @@ impl ProjectedRows {
             color: each!(i in 3 => self.color[i].0[lane]),
             depth_m,
             extent_px,
-            rows_px: rows.map(|[first, last]| [first as u16, last as u16])?,
+            rows_px: [rows[0] as u16, rows[1] as u16],
         })
     }
 }
@@ -190,10 +192,11 @@ impl ProjectedRows {
 /// Rounding errors of an ellipse's border are smaller than this, px.
 const BORDER_MARGIN_PX: f32 = 0.01;
 
-/// First and last pixel whose centre lies in `mean + low..=mean + high`, `None` when there is none in the picture.
+/// First and last pixel of the picture whose centre lies in `mean + low..=mean + high`; the first is larger when
+/// there is none.
 #[inline(always)]
-pub fn pixels_within(mean_px: f32, low_px: f32, high_px: f32, size: usize) -> Option<[usize; 2]> {
+pub fn pixels_within(mean_px: f32, low_px: f32, high_px: f32, size: usize) -> [i32; 2] {
     let first = (mean_px + low_px - 0.5 - BORDER_MARGIN_PX).ceil().max(0.0);
     let last = (mean_px + high_px - 0.5 + BORDER_MARGIN_PX).floor().min(size as f32 - 1.0);
-    (first <= last).then_some([first as usize, last as usize])
+    [first as i32, last as i32]
 }
