@@ -21,6 +21,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
+/// When this is set, the first allocation on a sealed thread prints where it happened.
+const TRACE_VARIABLE: &str = "KILOGS_SEAL_TRACE";
+
 /// How long the thread waits for records before it looks after everything else.
 const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -37,6 +40,10 @@ pub fn supervise(
     start_camera: impl FnOnce() -> Result<Option<CameraChild>, InputError>,
 ) -> Result<(), RunError> {
     let started = Instant::now();
+    seal::prefault_pools();
+    if std::env::var_os(TRACE_VARIABLE).is_some() {
+        seal::trace_next_violation();
+    }
     let folder = OutputFolder::create(&plan.out)?;
     let usage = Arc::new(Usage::default());
     let stop = Arc::new(AtomicBool::new(false));

@@ -17,6 +17,7 @@ pub(super) static PEAK_BYTES: AtomicUsize = AtomicUsize::new(0);
 pub(super) static SEALED_ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
 pub(super) static SEALED_FREES: AtomicU64 = AtomicU64::new(0);
 pub(super) static SEALED_BYTES: AtomicU64 = AtomicU64::new(0);
+pub(super) static PREFAULT: AtomicBool = AtomicBool::new(false);
 pub(super) static TRACE_NEXT: AtomicBool = AtomicBool::new(false);
 
 /// What one thread may do and has done. Constant and without a destructor, so that reading it never allocates.
@@ -36,21 +37,23 @@ thread_local! {
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count_allocation(layout.size());
-        // SAFETY: the caller keeps `GlobalAlloc::alloc`'s contract, which is also `System`'s.
-        unsafe { System.alloc(layout) }
+        // SAFETY: the caller keeps `GlobalAlloc::alloc`'s contract, which is also `System`'s; the block has
+        // `layout.size()` bytes, and nothing is stored in it yet.
+        unsafe { touched(System.alloc(layout), 0, layout.size()) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         count_allocation(layout.size());
-        // SAFETY: as in `alloc`; forwarded so that large zeroed blocks stay lazily mapped.
-        unsafe { System.alloc_zeroed(layout) }
+        // SAFETY: as in `alloc`; what is written into the block are the zeroes that it is full of.
+        unsafe { touched(System.alloc_zeroed(layout), 0, layout.size()) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
         count_free(layout.size());
         count_allocation(new_size);
-        // SAFETY: the caller keeps `GlobalAlloc::realloc`'s contract, which is also `System`'s.
-        unsafe { System.realloc(pointer, layout, new_size) }
+        // SAFETY: the caller keeps `GlobalAlloc::realloc`'s contract, which is also `System`'s; only bytes that the
+        // old block did not have are written.
+        unsafe { touched(System.realloc(pointer, layout, new_size), layout.size(), new_size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
@@ -58,6 +61,27 @@ unsafe impl GlobalAlloc for CountingAllocator {
         // SAFETY: the caller keeps `GlobalAlloc::dealloc`'s contract, which is also `System`'s.
         unsafe { System.dealloc(pointer, layout) }
     }
+}
+
+/// Smaller blocks come from pages that are in use already.
+const SMALLEST_POOL_BYTES: usize = 64 << 10;
+
+/// Smallest page of any machine this runs on.
+const PAGE_BYTES: usize = 4096;
+
+/// Writes a zero into every page of the new bytes of a large block, when pools are to be resident from the start.
+///
+/// # Safety
+/// `block` is null or has `n_bytes` bytes, of which those from `first_new` on hold nothing or zeroes.
+unsafe fn touched(block: *mut u8, first_new: usize, n_bytes: usize) -> *mut u8 {
+    let is_pool = n_bytes.saturating_sub(first_new) >= SMALLEST_POOL_BYTES;
+    if is_pool && !block.is_null() && PREFAULT.load(Relaxed) {
+        for offset in (first_new..n_bytes).step_by(PAGE_BYTES) {
+            // SAFETY: `first_new <= offset < n_bytes`. Volatile, because nobody reads the byte.
+            unsafe { block.add(offset).write_volatile(0) };
+        }
+    }
+    block
 }
 
 fn count_allocation(bytes: usize) {

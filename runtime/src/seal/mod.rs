@@ -8,7 +8,7 @@ mod allocator;
 
 pub use allocator::CountingAllocator;
 
-use allocator::{LIVE_BYTES, PEAK_BYTES, SEALED_ALLOCATIONS, SEALED_BYTES, SEALED_FREES, TAG, TRACE_NEXT};
+use allocator::{LIVE_BYTES, PEAK_BYTES, PREFAULT, SEALED_ALLOCATIONS, SEALED_BYTES, SEALED_FREES, TAG, TRACE_NEXT};
 use std::marker::PhantomData;
 use std::sync::atomic::Ordering::Relaxed;
 
@@ -36,6 +36,12 @@ pub fn report() -> SealReport {
         live_bytes: LIVE_BYTES.load(Relaxed) as u64,
         peak_bytes: PEAK_BYTES.load(Relaxed) as u64,
     }
+}
+
+/// From now on, large blocks are resident as soon as they are allocated: a pool that is touched bit by bit while the
+/// vehicle drives would look like a leak, and might find no memory when it is needed.
+pub fn prefault_pools() {
+    PREFAULT.store(true, Relaxed);
 }
 
 /// The next allocation on a sealed thread prints where it happened, on stderr. For finding one; costs nothing else.
@@ -141,6 +147,31 @@ mod tests {
         let probe = switch(false);
         drop(black_box(Box::new(1)));
         assert_eq!(probe.violations(), (0, 0), "no seal is left on this thread");
+    }
+
+    #[test]
+    fn a_pool_is_resident_once_it_is_prefaulted() {
+        const BLOCK: usize = 256 << 20;
+        let resident_bytes = || crate::telemetry::process_memory(None).expect("a /proc").rss_bytes;
+        let grown_by = |make: fn() -> Vec<u8>| {
+            let before = resident_bytes();
+            let block = black_box(make());
+            let grown = resident_bytes().saturating_sub(before);
+            assert_eq!(block.first().copied().unwrap_or(0), 0);
+            grown
+        };
+        // Other tests run beside this one; they take far less than the block.
+        assert!(grown_by(|| vec![0; BLOCK]) < BLOCK as u64 / 2, "zeroed memory is lazy");
+        prefault_pools();
+        assert!(grown_by(|| vec![0; BLOCK]) > BLOCK as u64 / 2, "a zeroed pool");
+        assert!(grown_by(|| Vec::with_capacity(BLOCK)) > BLOCK as u64 / 2, "an empty pool");
+        let grown_pool = || {
+            let mut pool = Vec::with_capacity(1);
+            pool.reserve_exact(BLOCK);
+            pool
+        };
+        assert!(grown_by(grown_pool) > BLOCK as u64 / 2, "a pool that was reserved later");
+        PREFAULT.store(false, Relaxed);
     }
 
     #[test]
