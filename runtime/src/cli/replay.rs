@@ -82,7 +82,8 @@ fn camera_arguments(args: &ReplayArgs, service: &str) -> Vec<String> {
     }
     if args.live {
         option("--rate", args.rate.to_string());
-        words.push("--live".to_owned());
+        // A capture process of our own starts with the tracker and ends with it, live or not.
+        words.extend(["--live", "--wait-for-tracker", "30", "--end-with-tracker"].map(str::to_owned));
     }
     words.push("--quiet".to_owned());
     words

@@ -1,5 +1,8 @@
 //! The odometry that robots read while the vehicle drives.
+//!
+//! Publishing takes memory for every message, so it has a thread of its own, which nobody seals and nobody waits for.
 
+use super::queue::Receiver;
 use crate::output::OdometryPublisher;
 use crate::run_error::RunError;
 use kilogs_camera::ipc::OdometryMessage;
@@ -8,24 +11,35 @@ use kilogs_core::tracking::{FrameReport, FrameStatus};
 
 const NS_PER_S: f64 = 1e9;
 
+/// Frames that can wait to be published; a reader that late wants newer ones.
+pub const CAPACITY: usize = 16;
+
+/// Publishes what comes until nothing more will.
+///
+/// # Errors
+/// [`RunError::Input`] when the shared memory cannot be used.
+pub fn publish(frames: &Receiver<FrameReport>) -> Result<(), RunError> {
+    let mut stream = OdometryStream::open()?;
+    while let Some(report) = frames.pop() {
+        stream.publish(&report);
+    }
+    Ok(())
+}
+
 /// Publishes one message per frame.
-pub struct OdometryStream {
+struct OdometryStream {
     publisher: OdometryPublisher,
     before: Option<(TimestampNs, Rigid)>,
 }
 
 impl OdometryStream {
-    /// Opens `kilogs/odometry`.
-    ///
-    /// # Errors
-    /// [`RunError::Input`] when the shared memory cannot be used.
-    pub fn open() -> Result<Self, RunError> {
+    fn open() -> Result<Self, RunError> {
         let publisher = OdometryPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         Ok(Self { publisher, before: None })
     }
 
-    /// Publishes a frame. A message that cannot be sent is a loss for the reader, not for the run.
-    pub fn publish(&mut self, report: &FrameReport) {
+    /// A message that cannot be sent is a loss for the reader, not for the run.
+    fn publish(&mut self, report: &FrameReport) {
         let message = self.message(report);
         self.before = Some((report.timestamp_ns, report.world_from_camera));
         if let Err(problem) = self.publisher.publish(&message) {

@@ -2,14 +2,14 @@
 
 use super::finish::{self, Concluded};
 use super::mapping_thread::{self, MappingProgress, MappingSummary};
-use super::memory;
 use super::plan::RunPlan;
 use super::queue::{self, Received, Receiver};
 use super::record::Record;
 use super::tally::Tally;
 use super::tracking_thread::TrackingThread;
+use super::{memory, odometry};
 use crate::budget::{Row, Usage};
-use crate::input::{CameraChild, CameraState, InputError, InputSettings};
+use crate::input::{CameraChild, CameraState, FrameInput, InputError, InputSettings};
 use crate::output::{HealthPublisher, OutputFolder};
 use crate::run_error::RunError;
 use crate::seal;
@@ -51,22 +51,30 @@ pub fn supervise(
     ctrlc::set_handler(move || stop_on_signal.store(true, Ordering::Relaxed))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
 
+    if log::log_enabled!(log::Level::Debug) {
+        seal::trace_next_violation();
+    }
     let (records, incoming) = queue::queue(plan.budget.capacity(Row::TelemetryFrameRecords));
     let tracker = memory::tracker(plan)?;
     let progress = Arc::new(MappingProgress::default());
     let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
-    let input =
+    let settings =
         InputSettings { service: service.to_owned(), format: plan.service_format(), slots: plan.budget.frame_slots() };
-    let tracking = TrackingThread { plan, input, tracker, mapper: mapper_link, records, stop: &stop };
+    // Before the camera is started: whoever creates the service decides how many slots it has.
+    let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;
+    let (odometry, poses) = queue::queue(odometry::CAPACITY);
+    let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, stop: &stop };
 
     let (told, tracked, mapped) = std::thread::scope(|scope| {
         let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
-        let tracking = thread("tracking").spawn_scoped(scope, || tracking.run()).map_err(spawn_failed)?;
+        let tracking = thread("tracking").spawn_scoped(scope, move || tracking.run(input)).map_err(spawn_failed)?;
         let mapping = mapping_work
             .map(|work| thread("mapping").spawn_scoped(scope, || work.run()))
             .transpose()
             .map_err(spawn_failed)?;
+        let publishing =
+            thread("odometry").spawn_scoped(scope, move || odometry::publish(&poses)).map_err(spawn_failed)?;
         let child = start_camera().inspect_err(|_| stop.store(true, Ordering::Relaxed));
         let child = child.map_err(|e| RunError::Input(e.to_string()))?;
         let shared = Shared { plan, stop: &stop, usage: &usage, progress: &progress, started };
@@ -75,7 +83,8 @@ pub fn supervise(
             stop.store(true, Ordering::Relaxed);
         }
         drop(incoming);
-        Ok::<_, RunError>((told, join(tracking, "tracking"), mapping.map(|thread| join(thread, "mapping"))))
+        let tracked = join(tracking, "tracking").and(join(publishing, "odometry"));
+        Ok::<_, RunError>((told, tracked, mapping.map(|thread| join(thread, "mapping"))))
     })?;
     let told = told?;
     tracked?;

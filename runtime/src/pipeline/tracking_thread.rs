@@ -1,11 +1,10 @@
 //! The tracking thread: from the shared memory to a pose, every frame, without taking memory.
 
 use super::mapping_thread::MapperLink;
-use super::odometry::OdometryStream;
 use super::plan::RunPlan;
 use super::queue::Sender;
 use super::record::Record;
-use crate::input::{BorrowedFrame, FrameInput, InputEvent, InputSettings};
+use crate::input::{BorrowedFrame, FrameInput, InputEvent};
 use crate::map_store::HeldOutRule;
 use crate::output::{Stage, StageTimes};
 use crate::run_error::RunError;
@@ -24,14 +23,14 @@ const WARM_UP_FRAMES: u64 = 3;
 pub struct TrackingThread<'run> {
     /// What the run does.
     pub plan: &'run RunPlan,
-    /// What to listen to.
-    pub input: InputSettings,
     /// The calculator, on memory taken at the start.
     pub tracker: Tracker<'static>,
     /// Where keyframes go.
     pub mapper: Option<MapperLink>,
     /// Where records go.
     pub records: Sender<Record>,
+    /// Where poses go to be published.
+    pub odometry: Sender<FrameReport>,
     /// Set when the run shall end.
     pub stop: &'run AtomicBool,
 }
@@ -44,7 +43,6 @@ struct State {
     n_frames: u64,
     first_index: u64,
     next_index: u64,
-    odometry: OdometryStream,
 }
 
 impl TrackingThread<'_> {
@@ -52,9 +50,8 @@ impl TrackingThread<'_> {
     ///
     /// # Errors
     /// [`RunError::Input`] when the shared memory breaks down.
-    pub fn run(mut self) -> Result<(), RunError> {
+    pub fn run(mut self, mut input: FrameInput) -> Result<(), RunError> {
         let failed = |e: crate::input::InputError| RunError::Input(e.to_string());
-        let mut input = FrameInput::open(&self.input).map_err(failed)?;
         let mut state = State {
             gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
             held_out: HeldOutRule::default(),
@@ -62,7 +59,6 @@ impl TrackingThread<'_> {
             n_frames: 0,
             first_index: 0,
             next_index: 0,
-            odometry: OdometryStream::open()?,
         };
         let mut sealed = None;
         let mut waiting_since = Instant::now();
@@ -110,7 +106,8 @@ impl TrackingThread<'_> {
         let report = self.tracker.step(image, frame_index, frame.timestamp_ns());
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
         state.n_keyframes += u32::from(report.is_keyframe);
-        state.odometry.publish(&report);
+        // A full queue means that the publisher is late: its readers want the next one.
+        let _ = self.odometry.try_push(report);
         self.hand_to_mapper(frame, &report, state, &mut times);
         self.tell(Record::Frame { report, times });
     }
