@@ -1,23 +1,26 @@
 //! The pages that are in the backend, and what they hold there.
 
 use super::row_table::RowTable;
+use super::selection::CountedPage;
 use crate::map_store::{MapStoreReader, StoreError};
 use crate::splat::{
     AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, GaussianParams, KeyframePlacement, SplatBackend,
 };
 use kilogs_core::conventions::rotation_from_xyzw;
-use kilogs_core::store::{PageLabel, StoredKeyframe};
+use kilogs_core::map::lod::N_LEVELS;
+use kilogs_core::store::{PageLabel, StoredAnchor, StoredKeyframe};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
 /// Color of a direction whose chunk is lost.
 const UNKNOWN_BACKGROUND: [f32; 3] = [0.5; 3];
 
-/// A page in the backend.
+/// A page in the backend, with all its levels from the finest.
 #[derive(Debug)]
 struct ResidentPage {
     label: PageLabel,
-    slots: Vec<u32>,
+    finest_level: u8,
+    slots: [Vec<u32>; N_LEVELS],
 }
 
 /// Book of slots and rows; the backend itself is handed in.
@@ -59,35 +62,51 @@ impl Residency {
         }
     }
 
-    pub(super) fn holds(&self, page_id: u32) -> bool {
-        self.pages.contains_key(&page_id)
+    /// Whether a page is resident with `finest_level` and all coarser ones.
+    pub(super) fn holds(&self, page_id: u32, finest_level: u8) -> bool {
+        self.pages.get(&page_id).is_some_and(|page| page.finest_level <= finest_level)
     }
 
     pub(super) fn n_anchors(&self) -> usize {
-        self.pages.values().map(|page| page.slots.len()).sum()
+        self.pages.values().flat_map(|page| &page.slots).map(Vec::len).sum()
     }
 
-    /// Takes every page out for which `keep` is false; returns how many.
-    pub(super) fn evict(&mut self, backend: &mut dyn SplatBackend, keep: impl Fn(u32) -> bool) -> usize {
-        let leaving: Vec<u32> = self.pages.keys().copied().filter(|page_id| !keep(*page_id)).collect();
+    /// Takes out what is not wanted: `finest_level` says from which level on a page stays, `None` not at all.
+    /// Returns how many pages left altogether.
+    pub(super) fn evict(&mut self, backend: &mut dyn SplatBackend, finest_level: impl Fn(u32) -> Option<u8>) -> usize {
+        let mut leaving = Vec::new();
+        for (page_id, page) in &mut self.pages {
+            let Some(finest_level) = finest_level(*page_id) else {
+                leaving.push(*page_id);
+                continue;
+            };
+            for slots in page.slots.iter_mut().take(usize::from(finest_level)) {
+                backend.retire_anchors(slots);
+                self.free_slots.append(slots);
+            }
+            page.finest_level = page.finest_level.max(finest_level);
+        }
         for page_id in &leaving {
             if let Some(page) = self.pages.remove(page_id) {
-                self.forget(&page, backend);
+                self.forget(page, backend);
             }
         }
         leaving.len()
     }
 
-    fn forget(&mut self, page: &ResidentPage, backend: &mut dyn SplatBackend) {
-        backend.retire_anchors(&page.slots);
-        self.free_slots.extend(page.slots.iter().rev());
+    fn forget(&mut self, page: ResidentPage, backend: &mut dyn SplatBackend) {
+        for mut slots in page.slots {
+            backend.retire_anchors(&slots);
+            self.free_slots.append(&mut slots);
+        }
         for id in page.label.first_keyframe_id..=page.label.last_keyframe_id {
             self.keyframes.release(id);
         }
         self.chunks.release(page.label.chunk_id);
     }
 
-    /// Puts a page into the backend. False when there is no room, which leaves nothing changed.
+    /// Puts a page into the backend with all levels from `finest_level`, or the levels of it that are not there yet.
+    /// False when there is no room.
     ///
     /// # Errors
     /// [`StoreError`] when the page is damaged: nothing of it is shown.
@@ -95,35 +114,58 @@ impl Residency {
         &mut self,
         map: &MapStoreReader,
         page: &PageLabel,
+        finest_level: u8,
         backend: &mut dyn SplatBackend,
     ) -> Result<bool, StoreError> {
-        if page.n_anchors as usize > self.free_slots.len() {
-            return Ok(false);
+        let mut resident = match self.pages.remove(&page.page_id) {
+            Some(resident) => resident,
+            None => match self.admit(map, page, backend) {
+                Some(resident) => resident,
+                None => return Ok(false),
+            },
+        };
+        match self.load_anchors(map, finest_level, &mut resident, backend) {
+            Ok(()) => {
+                self.pages.insert(page.page_id, resident);
+                Ok(true)
+            }
+            Err(problem) => {
+                self.forget(resident, backend);
+                Err(problem)
+            }
         }
-        let Some(chunk_row) = self.hold_chunk(map, page.chunk_id, backend) else { return Ok(false) };
+    }
+
+    /// Rows for a page that is not resident, still without anchors; `None` when the tables are full.
+    fn admit(
+        &mut self,
+        map: &MapStoreReader,
+        page: &PageLabel,
+        backend: &mut dyn SplatBackend,
+    ) -> Option<ResidentPage> {
+        self.hold_chunk(map, page.chunk_id, backend)?;
         if !self.hold_keyframes(map, page, backend) {
             self.chunks.release(page.chunk_id);
-            return Ok(false);
+            return None;
         }
-        let mut resident = ResidentPage { label: *page, slots: Vec::with_capacity(page.n_anchors as usize) };
-        let loaded = self.load_anchors(map, chunk_row, &mut resident, backend);
-        if loaded.is_err() {
-            self.forget(&resident, backend);
-        } else {
-            self.pages.insert(page.page_id, resident);
-        }
-        loaded.map(|()| true)
+        Some(ResidentPage { label: *page, finest_level: N_LEVELS as u8, slots: Default::default() })
     }
 
     fn load_anchors(
         &mut self,
         map: &MapStoreReader,
-        chunk_row: u16,
+        finest_level: u8,
         resident: &mut ResidentPage,
         backend: &mut dyn SplatBackend,
     ) -> Result<(), StoreError> {
+        let missing = finest_level..resident.finest_level;
+        let chunk_row = self.chunks.row(resident.label.chunk_id).and_then(|row| u16::try_from(row).ok()).unwrap_or(0);
         let (_, mut anchors) = map.read_page(resident.label.page_id, &mut self.file)?;
         while let Some(anchor) = anchors.next_anchor(&mut self.gaussians) {
+            let level = level_of(&anchor);
+            if !missing.contains(&level) {
+                continue;
+            }
             // A keyframe that the log lost has no row that was filled for it.
             let row = self.keyframes.row(anchor.keyframe_id).filter(|_| map.keyframe(anchor.keyframe_id).is_some());
             let fits = usize::from(anchor.n_gaussians) <= self.gaussians.len();
@@ -133,14 +175,41 @@ impl Residency {
             };
             let header: AnchorHeader = anchor.to_header(row, chunk_row);
             let refused = backend.write_anchors(&[slot], &[header], &self.gaussians);
-            if refused > 0 {
-                self.anchors_left_out += 1;
-                self.free_slots.push(slot);
-            } else {
-                resident.slots.push(slot);
+            match resident.slots.get_mut(usize::from(level)) {
+                Some(slots) if refused == 0 => slots.push(slot),
+                _ => {
+                    self.anchors_left_out += 1;
+                    self.free_slots.push(slot);
+                }
             }
         }
+        resident.finest_level = resident.finest_level.min(finest_level);
         Ok(())
+    }
+
+    /// Reads every page once: how many anchors of each level it has, in the order of the map. What is damaged is
+    /// left out and handed to `damaged`.
+    pub(super) fn count_pages(
+        &mut self,
+        map: &MapStoreReader,
+        damaged: &mut dyn FnMut(&PageLabel, &StoreError),
+    ) -> Vec<CountedPage> {
+        let mut counted = Vec::with_capacity(map.pages().len());
+        for page in map.pages() {
+            match map.read_page(page.page_id, &mut self.file) {
+                Ok((_, mut anchors)) => {
+                    let mut n_anchors = [0; N_LEVELS];
+                    while let Some(anchor) = anchors.next_anchor(&mut []) {
+                        if let Some(n) = n_anchors.get_mut(usize::from(level_of(&anchor))) {
+                            *n += 1;
+                        }
+                    }
+                    counted.push(CountedPage { label: *page, n_anchors });
+                }
+                Err(problem) => damaged(page, &problem),
+            }
+        }
+        counted
     }
 
     /// Rows for all keyframes of a page, or none of them.
@@ -194,4 +263,9 @@ fn placement(keyframe: &StoredKeyframe) -> KeyframePlacement {
         translation_m: Vector3::from(keyframe.translation_m),
         scale: keyframe.scale,
     }
+}
+
+/// Level of an anchor; one that does not exist is never drawn and kept with the coarsest.
+fn level_of(anchor: &StoredAnchor) -> u8 {
+    anchor.level.min(N_LEVELS as u8 - 1)
 }

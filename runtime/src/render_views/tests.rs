@@ -47,7 +47,7 @@ fn keyframe(id: u32) -> StoredKeyframe {
     }
 }
 
-/// One page of one keyframe and two anchors every 20 m; three pages per chunk, whose sky is 0.25 or 0.5; the
+/// One page of one keyframe every 20 m, with an anchor of level 0 (seen up to 21 m) and one of level 2 (84 m); three pages per chunk, whose sky is 0.25 or 0.5; the
 /// camera sees 0.5 everywhere; the view of frame 7 is held out.
 fn write_map(folder: &Path, pixel_format: PixelFormat) {
     let capacity = StoreCapacity { page_bytes: 1 << 17, page_buffers: 1, image_buffers: 1 };
@@ -82,7 +82,7 @@ fn write_map(folder: &Path, pixel_format: PixelFormat) {
         };
         let mut page = store.begin_page(label).expect("a buffer");
         page.push(&anchor, &[gaussian]).expect("room");
-        page.push(&anchor, &[gaussian]).expect("room");
+        page.push(&StoredAnchor { level: 2, ..anchor }, &[gaussian]).expect("room");
         store.commit_page(page).expect("taken");
     }
     let held_out = StoredKeyframe { frame_index: 7, is_held_out: true, ..keyframe(1) };
@@ -118,19 +118,22 @@ fn drive(map: &MapStoreReader, backend: &mut StubBackend, stops_z_m: &[f64]) -> 
 }
 
 #[test]
-fn the_nearest_pages_are_shown_as_the_camera_moves() {
+fn near_pages_are_shown_with_all_levels_and_far_ones_with_the_coarse() {
     let (_scratch, map) = scratch_map(PixelFormat::Rgb8);
-    // Room for three pages of two anchors, two in the second row of cases because of the keyframe table.
-    for (keyframe_rows, expected) in [
-        (9, [[0, 0, 20, 20, 40, 40].as_slice(), &[40, 40, 60, 60, 80, 80], &[60, 60, 80, 80, 100, 100]]),
-        (2, [&[0, 0, 20, 20], &[60, 60, 80, 80], &[80, 80, 100, 100]]),
-    ] {
-        let mut backend = StubBackend::new(7, keyframe_rows, 2);
+    let check = |(anchors, keyframe_rows, chunk_rows), expected: [&[i64]; 3], what: &str| {
+        let mut backend = StubBackend::new(anchors, keyframe_rows, chunk_rows);
         let counts = drive(&map, &mut backend, &[0.0, 50.0, 100.0]);
-        assert_eq!(backend.shown_z_m, expected, "{keyframe_rows} rows");
-        assert_eq!(counts.pages_loaded - counts.pages_evicted, expected[2].len() as u64 / 2);
+        assert_eq!(backend.shown_z_m, expected, "{what}");
         assert_eq!((counts.pages_damaged, counts.anchors_left_out, counts.backgrounds_missing), (0, 0, 0));
-    }
+        assert!(counts.anchors_peak <= anchors as u64, "{what}");
+    };
+    let all: [&[i64]; 3] =
+        [&[0, 0, 20, 20, 40, 60, 80], &[0, 20, 40, 40, 60, 60, 80, 100], &[20, 40, 60, 80, 80, 100, 100]];
+    check((100, 9, 2), all, "room for everything");
+    check((7, 9, 2), [all[0], &[0, 20, 40, 40, 60, 60, 80], all[2]], "room for seven anchors");
+    check((3, 9, 2), [&[0, 0], &[40, 40], &[100, 100]], "room for three anchors");
+    check((100, 2, 2), [&[0, 0, 20, 20], &[40, 40, 60, 60], &[80, 80, 100, 100]], "two keyframe rows");
+    check((100, 9, 1), [&[0, 0, 20, 20, 40], &[40, 40], &[60, 80, 80, 100, 100]], "the camera's chunk only");
 }
 
 #[test]
@@ -138,28 +141,42 @@ fn standing_still_loads_nothing_twice() {
     let (_scratch, map) = scratch_map(PixelFormat::Rgb8);
     let mut backend = StubBackend::new(100, 9, 2);
     let counts = drive(&map, &mut backend, &[0.0, 0.0, 1.0]);
-    assert_eq!((counts.pages_loaded, counts.pages_evicted, counts.anchors_peak), (6, 0, 12));
+    assert_eq!((counts.pages_loaded, counts.pages_evicted, counts.anchors_peak), (5, 0, 7));
 }
 
-#[test]
-fn one_chunk_row_shows_the_camera_s_chunk_only() {
-    let (_scratch, map) = scratch_map(PixelFormat::Rgb8);
-    let mut backend = StubBackend::new(100, 9, 1);
-    drive(&map, &mut backend, &[0.0, 100.0]);
-    assert_eq!(backend.shown_z_m, [[0, 0, 20, 20, 40, 40], [60, 60, 80, 80, 100, 100]]);
-}
-
-#[test]
-fn a_damaged_page_is_missing_once_and_reported_once() {
-    let (scratch, map) = scratch_map(PixelFormat::Rgb8);
-    let path = scratch.path().join("pages/00000001.kgs");
-    let mut bytes = std::fs::read(&path).expect("read");
+fn damage(page: &Path) {
+    let mut bytes = std::fs::read(page).expect("read");
     *bytes.last_mut().expect("not empty") ^= 1;
-    std::fs::write(&path, bytes).expect("written");
+    std::fs::write(page, bytes).expect("written");
+}
+
+#[test]
+fn a_damaged_page_is_missing_everywhere_and_reported_once() {
+    let (scratch, map) = scratch_map(PixelFormat::Rgb8);
+    damage(&scratch.path().join("pages/00000001.kgs"));
     let mut backend = StubBackend::new(100, 9, 2);
     let counts = drive(&map, &mut backend, &[0.0, 100.0, 0.0]);
-    assert_eq!((counts.pages_damaged, counts.pages_loaded), (1, 5));
-    assert!(backend.shown_z_m.iter().all(|shown| shown == &[0, 0, 40, 40, 60, 60, 80, 80, 100, 100]));
+    // Four pages at first, then one more and the fine level of another, then the first page again.
+    assert_eq!((counts.pages_damaged, counts.pages_loaded), (1, 7));
+    let expected: [&[i64]; 3] = [&[0, 0, 40, 60, 80], &[40, 60, 80, 80, 100, 100], &[0, 0, 40, 60, 80]];
+    assert_eq!(backend.shown_z_m, expected);
+}
+
+#[test]
+fn a_page_that_is_damaged_while_the_camera_moves_is_left_out_altogether() {
+    let (scratch, map) = scratch_map(PixelFormat::Rgb8);
+    let mut backend = StubBackend::new(100, 9, 2);
+    let mut picture = Picture::new(WIDTH, HEIGHT);
+    let mut viewer = MapViewer::new(&map, &mut backend);
+    for z_m in [0.0, 50.0, 50.0] {
+        let map_from_camera = Rigid::from_parts(Translation3::new(0.0, 0.0, z_m), Default::default());
+        viewer.render(&map_from_camera, &map.manifest().camera, 0, &mut picture).expect("drawn");
+        // Its coarse level is there; its fine one will be wanted.
+        damage(&scratch.path().join("pages/00000002.kgs"));
+    }
+    assert_eq!(viewer.counts().pages_damaged, 1);
+    let expected: [&[i64]; 3] = [&[0, 0, 20, 20, 40, 60, 80], &[0, 20, 60, 60, 80, 100], &[0, 20, 60, 60, 80, 100]];
+    assert_eq!(backend.shown_z_m, expected);
 }
 
 #[test]

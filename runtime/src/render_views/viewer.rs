@@ -2,21 +2,21 @@
 
 use super::Picture;
 use super::residency::Residency;
-use super::selection::{LOOK_AHEAD_M, Room, pick_pages};
+use super::selection::{CountedPage, Room, Wanted, pick_pages};
 use crate::map_store::{MapStoreReader, StoreError};
 use crate::splat::{Overflow, SplatBackend, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, rotation_from_xyzw};
-use kilogs_core::store::{PageLabel, StoredKeyframe};
-use nalgebra::{Point3, Translation3, Vector3};
-use std::collections::BTreeSet;
+use kilogs_core::store::StoredKeyframe;
+use nalgebra::{Translation3, Vector3};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What was loaded and what was left out while the camera moved.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ViewerCounts {
-    /// Pages brought into the backend.
+    /// Pages, or further levels of them, brought into the backend.
     pub pages_loaded: u64,
-    /// Pages taken out of it.
+    /// Pages taken out of it altogether.
     pub pages_evicted: u64,
     /// Pages that cannot be read; they are missing from every picture.
     pub pages_damaged: u64,
@@ -30,38 +30,46 @@ pub struct ViewerCounts {
     pub overflow: Overflow,
 }
 
-/// Keeps the pages nearest to the camera in a backend and draws them. The backend must be empty; it is left with
-/// whatever was loaded last.
+/// Keeps what the camera can see in a backend and draws it: of near pages all levels, of far ones the coarse levels.
+/// The backend must be empty; it is left with whatever was loaded last.
 ///
-/// Memory: one page file, and 12 bytes per page of the map for ranking.
+/// Memory: the largest page file, and about 80 bytes per page of the map.
 pub struct MapViewer<'a> {
     map: &'a MapStoreReader,
     backend: &'a mut dyn SplatBackend,
     room: Room,
     residency: Residency,
-    damaged: BTreeSet<u32>,
-    ranked: Vec<(f64, PageLabel)>,
-    picked: Vec<PageLabel>,
+    pages: Vec<CountedPage>,
+    lost: BTreeSet<u32>,
+    ranked: Vec<(f64, usize)>,
+    wanted: Vec<Wanted>,
     counts: ViewerCounts,
 }
 
 impl<'a> MapViewer<'a> {
-    /// A viewer of `map` through `backend`.
+    /// A viewer of `map` through `backend`. Reads the map once, so that what is damaged is known before it is missed.
     pub fn new(map: &'a MapStoreReader, backend: &'a mut dyn SplatBackend) -> Self {
         let capacities = *backend.capacities();
+        let mut residency = Residency::new(backend);
+        let mut counts = ViewerCounts::default();
+        let pages = residency.count_pages(map, &mut |page, problem| {
+            log::warn!("page {} is left out of the pictures: {problem}", page.page_id);
+            counts.pages_damaged += 1;
+        });
         Self {
             map,
-            residency: Residency::new(backend),
+            residency,
             backend,
             room: Room {
                 anchors: capacities.anchors,
                 keyframe_rows: capacities.keyframe_rows,
                 chunk_rows: capacities.chunk_rows,
             },
-            damaged: BTreeSet::new(),
-            ranked: Vec::with_capacity(map.pages().len()),
-            picked: Vec::with_capacity(map.pages().len()),
-            counts: ViewerCounts::default(),
+            lost: BTreeSet::new(),
+            ranked: Vec::with_capacity(pages.len()),
+            wanted: Vec::with_capacity(pages.len()),
+            pages,
+            counts,
         }
     }
 
@@ -97,24 +105,25 @@ impl<'a> MapViewer<'a> {
         if stats.refused { Err(ViewRefused) } else { Ok(()) }
     }
 
-    /// Makes the nearest pages resident: first what is not needed goes, then what is missing comes.
+    /// Makes resident what can be seen: first what is not needed goes, then what is missing comes.
     fn bring_pages(&mut self, map_from_camera: &Rigid, chunk_id: u32) {
-        let focus = (map_from_camera * Point3::new(0.0, 0.0, LOOK_AHEAD_M)).coords;
-        let damaged = &self.damaged;
-        let usable = |page: &PageLabel| !damaged.contains(&page.page_id);
-        pick_pages(self.map, &focus, chunk_id, &self.room, usable, &mut self.ranked, &mut self.picked);
-        let picked: BTreeSet<u32> = self.picked.iter().map(|page| page.page_id).collect();
-        let evicted = self.residency.evict(self.backend, |page_id| picked.contains(&page_id));
+        let camera_in_map_m = map_from_camera.translation.vector;
+        let (pages, room) = (&self.pages, &self.room);
+        pick_pages(self.map, pages, &camera_in_map_m, chunk_id, room, &mut self.ranked, &mut self.wanted);
+        let finest_levels: BTreeMap<u32, u8> =
+            self.wanted.iter().map(|wanted| (pages[wanted.page_idx].label.page_id, wanted.finest_level)).collect();
+        let evicted = self.residency.evict(self.backend, |page_id| finest_levels.get(&page_id).copied());
         self.counts.pages_evicted += evicted as u64;
-        for page in &self.picked {
-            if self.residency.holds(page.page_id) {
+        for wanted in &self.wanted {
+            let page = &pages[wanted.page_idx].label;
+            if self.residency.holds(page.page_id, wanted.finest_level) || self.lost.contains(&page.page_id) {
                 continue;
             }
-            match self.residency.load(self.map, page, self.backend) {
+            match self.residency.load(self.map, page, wanted.finest_level, self.backend) {
                 Ok(loaded) => self.counts.pages_loaded += u64::from(loaded),
                 Err(problem) => {
-                    log::warn!("page {} is left out of the pictures: {problem}", page.page_id);
-                    self.damaged.insert(page.page_id);
+                    log::warn!("page {} was lost while the camera moved: {problem}", page.page_id);
+                    self.lost.insert(page.page_id);
                     self.counts.pages_damaged += 1;
                 }
             }
