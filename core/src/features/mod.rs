@@ -1,5 +1,6 @@
 //! Points that can be recognised in the next image: corners, and their tracks from frame to frame.
 
+pub mod affine;
 pub mod corners;
 mod lanes;
 pub mod lk;
@@ -9,6 +10,7 @@ mod window;
 #[cfg(test)]
 mod testing;
 
+pub use affine::AffineSettings;
 pub use corners::{Corner, CornerReport, CornerSettings};
 pub use lanes::SimdLevel;
 pub use lk::{Flow, LkSettings, LkVerdict};

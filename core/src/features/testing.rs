@@ -16,13 +16,28 @@ pub struct Scene {
     /// Applied to images that have moved.
     pub target_gain: f32,
     pub target_bias: f32,
+    /// Linear deformation about the centre of images that have moved.
+    pub shape: [[f32; 2]; 2],
     /// Rectangle (left, top, right, bottom) that shows another texture.
     pub cover: Option<[usize; 4]>,
 }
 
 impl Scene {
     pub fn textured(width: usize, height: usize) -> Self {
-        Self { width, height, seed: 1, contrast: 30.0, target_gain: 1.0, target_bias: 0.0, cover: None }
+        Self {
+            width,
+            height,
+            seed: 1,
+            contrast: 30.0,
+            target_gain: 1.0,
+            target_bias: 0.0,
+            shape: [[1.0, 0.0], [0.0, 1.0]],
+            cover: None,
+        }
+    }
+
+    pub fn center_px(&self) -> [f32; 2] {
+        [0.5 * self.width as f32, 0.5 * self.height as f32]
     }
 
     /// The image after its content has moved by `motion_px`.
@@ -30,11 +45,18 @@ impl Scene {
         let waves = self.waves(self.seed);
         let cover = self.waves(self.seed + 1000);
         let (gain, bias) = if motion_px == [0.0, 0.0] { (1.0, 0.0) } else { (self.target_gain, self.target_bias) };
+        let [[a, b], [c, d]] = if motion_px == [0.0, 0.0] { [[1.0, 0.0], [0.0, 1.0]] } else { self.shape };
+        let determinant = a * d - b * c;
+        let [cx, cy] = self.center_px();
+        let source = |x: f32, y: f32| {
+            let (dx, dy) = (x - motion_px[0] - cx, y - motion_px[1] - cy);
+            (cx + (d * dx - b * dy) / determinant, cy + (a * dy - c * dx) / determinant)
+        };
         let mut pixels = Vec::with_capacity(self.width * self.height);
         for y in 0..self.height {
             for x in 0..self.width {
                 let covered = self.cover.is_some_and(|[l, t, r, b]| (l..r).contains(&x) && (t..b).contains(&y));
-                let (px, py) = (x as f32 + 0.5 - motion_px[0], y as f32 + 0.5 - motion_px[1]);
+                let (px, py) = source(x as f32 + 0.5, y as f32 + 0.5);
                 let height: f32 = if covered { &cover } else { &waves }
                     .iter()
                     .map(|[kx, ky, phase]| (kx * px + ky * py + phase).sin())

@@ -67,7 +67,13 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.lk_min_eigenvalue", Range::closed(0.0, 1000.0), tracking.tracker.tracks.lk.min_eigenvalue),
     number!("tracking.lk_min_correlation", Range::closed(-1.0, 1.0), tracking.tracker.tracks.lk.min_correlation),
     number!("tracking.lk_max_backward_px", Range::open_closed(0.0, 10.0), tracking.tracker.tracks.lk.max_backward_px),
-    number!("tracking.refine_max_px", Range::open_closed(0.0, 10.0), tracking.tracker.tracks.max_refine_px),
+    number!("tracking.refine_max_px", Range::open_closed(0.0, 10.0), tracking.tracker.tracks.affine.max_moved_px),
+    whole!("tracking.refine_max_steps", Range::closed(0.0, 50.0), tracking.tracker.tracks.affine.max_steps),
+    number!(
+        "tracking.refine_min_correlation",
+        Range::closed(-1.0, 1.0),
+        tracking.tracker.tracks.affine.min_correlation
+    ),
     number!("tracking.corner_cell_px", Range::closed(8.0, 48.0), tracking.tracker.tracks.corners.cell_px),
     number!(
         "tracking.corner_min_distance_px",
