@@ -57,7 +57,7 @@ pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
     match row {
         Row::IpcFrameSlots => {
             let slots = budget.frame_slots();
-            slots.shared_bytes(input.frame_bytes) / bytes(slots.n_slots()).max(1)
+            slots.shared_bytes(input.frame_bytes).div_ceil(bytes(slots.n_slots()).max(1))
         }
         Row::TrackingGrayImages => input.pixels(),
         Row::TrackingPyramids => bytes(budget.tracker_capacities(input).bytes_per_pyramid()),

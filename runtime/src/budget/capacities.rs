@@ -10,18 +10,10 @@ use kilogs_camera::ipc::FrameSlots;
 use kilogs_core::store::page_file_bytes;
 use kilogs_core::tracking::TrackerCapacities;
 
-/// Processes that can read frames at once: the tracker and one more.
-const READERS: usize = 2;
-/// Frames that a reader can hold.
-const IN_HAND: usize = 2;
-/// Slots that do not wait for a reader: those in hand and the one being written.
-const NOT_WAITING: usize = READERS * IN_HAND + 1;
-
 impl Budget {
     /// Slots of the camera's shared memory.
     pub fn frame_slots(&self) -> FrameSlots {
-        let waiting = self.capacity(Row::IpcFrameSlots).saturating_sub(NOT_WAITING);
-        FrameSlots { subscribers: READERS, buffered: waiting / READERS, borrowed: IN_HAND }
+        FrameSlots::within(self.capacity(Row::IpcFrameSlots)).unwrap_or(FrameSlots::DEFAULT)
     }
 
     /// Tracks, landmarks and pyramids of the tracker.

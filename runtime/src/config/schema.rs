@@ -102,7 +102,10 @@ impl Setting {
                 let word = value.as_str().unwrap_or_default();
                 let possible = format!("write {}", available.join(" or "));
                 match (available.contains(&word), planned.contains(&word)) {
-                    (true, _) => Ok(put(settings, word)),
+                    (true, _) => {
+                        put(settings, word);
+                        Ok(())
+                    }
                     (false, true) => Err(not_available(&possible)),
                     (false, false) => Err(format!("not a choice; {possible}")),
                 }
@@ -110,7 +113,10 @@ impl Setting {
             Kind::Switch { planned, put } => match value.as_bool() {
                 None => Err("neither true nor false".to_owned()),
                 Some(on) if *planned == Some(on) => Err(not_available(&format!("write {}", !on))),
-                Some(on) => Ok(put(settings, on)),
+                Some(on) => {
+                    put(settings, on);
+                    Ok(())
+                }
             },
         }
     }

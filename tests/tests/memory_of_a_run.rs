@@ -1,0 +1,62 @@
+//! A whole run, with its capture process, inside a tiny budget: what the plan says is what happens.
+
+use kilogs_camera::sim::{SimArgs, write_dataset};
+use kilogs_tests::program::kilogs;
+use serde_json::Value;
+use std::path::Path;
+
+/// Small enough for a test, large enough to be tracked.
+const SIZE: [u32; 2] = [310, 94];
+
+/// Runs `kilogs replay` on a simulated drive in the tiny profile, and reads its report.
+fn replayed(folder: &Path) -> Value {
+    let dataset = folder.join("drive");
+    let args = SimArgs { length: 30.0, width: SIZE[0], height: SIZE[1], mono: true, ..SimArgs::default() };
+    write_dataset(&args, &dataset, |_, _| ()).expect("a simulated drive");
+    let out = folder.join("out");
+    let mut command = kilogs();
+    command.arg("replay").arg(&dataset).arg("--out").arg(&out);
+    command.args(["--budget", "tiny.toml", "--iterations", "2"]);
+    let output = command.output().expect("kilogs runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report = std::fs::read_to_string(out.join("report.json")).expect("a report");
+    serde_json::from_str(&report).expect("JSON")
+}
+
+#[test]
+fn a_run_stays_within_its_plan_and_its_sealed_threads_take_no_memory() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let report = replayed(folder.path());
+    let number =
+        |path: &str| report.pointer(path).and_then(Value::as_u64).unwrap_or_else(|| panic!("{path} in {report}"));
+    let frames = ["received", "tracked", "doubtful", "lost", "dropped"].map(|name| number(&format!("/frames/{name}")));
+    assert_eq!(frames[0], frames[1..].iter().sum::<u64>(), "every frame is accounted for");
+    assert!(frames[1] > 10, "the drive was tracked: {frames:?}");
+    assert!(number("/mapping/anchors_total") > 0, "the drive was mapped");
+
+    assert_eq!(number("/memory/sealed_allocations"), 0, "KILOGS_SEAL_TRACE=1 shows where");
+    let plan = report.pointer("/memory/plan").and_then(Value::as_array).expect("the plan");
+    let planned = |is_wanted: fn(&str) -> bool| -> u64 {
+        let name = |row: &Value| row["row"].as_str().unwrap_or_default().to_owned();
+        plan.iter().filter(|row| is_wanted(&name(row))).filter_map(|row| row["bytes"].as_u64()).sum()
+    };
+    let own = number("/memory/rss_peak_bytes");
+    let own_plan = planned(|row| row != "process.camera_child");
+    assert!(own <= own_plan, "this process took {own} bytes, its plan is {own_plan}");
+    let camera = number("/memory/camera_rss_peak_bytes");
+    let camera_plan = planned(|row| row == "process.camera_child" || row == "ipc.frame_slots");
+    assert!(camera <= camera_plan, "the capture process took {camera} bytes, its plan is {camera_plan}");
+    assert!(own + camera <= number("/memory/budget_host_bytes"));
+}
+
+#[test]
+fn a_budget_that_is_too_small_is_refused_before_anything_starts() {
+    let run = |arguments: &[&str]| {
+        let output = kilogs().args(arguments).output().expect("kilogs runs");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    assert_eq!(run(&["budget", "--check", "--budget", "tiny.toml", "--size", "310x94"]).0, Some(0));
+    let (code, message) = run(&["budget", "--check", "--budget", "tiny.toml", "--size", "4096x4096"]);
+    assert_eq!(code, Some(2), "{message}");
+    assert!(message.contains("tiny.toml") && message.contains("[") && message.contains("96 MiB"), "{message}");
+}
