@@ -14,6 +14,11 @@ pub struct RoadSettings {
     pub distance_m: [f64; 2],
     /// Half the width of the road strip, m. Range 0.5..4; wider strips see pavements and parked cars.
     pub half_width_m: f64,
+    /// Change of grey value at one place at which a pixel counts half: what does not change is flat, or rides along
+    /// (a car ahead and its shadow). Range 0..50; 0 counts all alike.
+    pub standing_grey: f64,
+    /// Share of the motion's curvature that the strip follows. Range 0..1.
+    pub bend: f64,
     /// Standard deviation of pitch and of roll of the road against the expected normal, rad. Range 0.001..0.1.
     pub normal_sigma_rad: [f64; 2],
     /// Width in pixels that the working level of the pyramid should have at least. Range 300..2000.

@@ -194,10 +194,9 @@ impl Alignment {
         let mut n_pixels = 0;
         for row in 0..strip.later.height() {
             let y = (row as f64 + 0.5 - c.cy) / c.fy;
-            let Some((first, end)) = columns(&pair.expected_normal, mounting.height_m, settings, c, y) else {
-                continue;
-            };
+            let Some((first, end)) = columns(pair, mounting.height_m, settings, c, y) else { continue };
             let pixels = strip.later.row(row);
+            let standing = strip.earlier.row(row);
             for (column, &later) in pixels.iter().enumerate().take(end).skip(first) {
                 let ray = Vector3::new((column as f64 + 0.5 - c.cx) / c.fx, y, 1.0);
                 let q = rotation * ray + t * self.plane.dot(&ray);
@@ -207,7 +206,10 @@ impl Alignment {
                 let later = f64::from(later);
                 let r = self.gain * value + self.bias - later;
                 let ratio = r / (TUKEY_SIGMAS * noise);
-                let weight = if ratio.abs() < 1.0 { (1.0 - ratio * ratio) * (1.0 - ratio * ratio) } else { 0.0 };
+                let tukey = if ratio.abs() < 1.0 { (1.0 - ratio * ratio) * (1.0 - ratio * ratio) } else { 0.0 };
+                let change = standing.get(column).map_or(0.0, |&s| f64::from(s) - later);
+                let weight =
+                    tukey * change * change / (change * change + settings.standing_grey * settings.standing_grey);
                 n_pixels += 1;
                 moments.add(value, later, weight, r.abs());
                 let along = self.gain * inverse_z * (gx * c.fx * (t.x - u * t.z) + gy * c.fy * (t.y - v * t.z));
@@ -222,20 +224,27 @@ impl Alignment {
     }
 }
 
-/// Columns of a row that see the strip; `None` for rows above it or too near.
+/// Columns of a row that see the strip, which bends with the motion; `None` for rows above it or too near.
 fn columns(
-    normal: &Vector3<f64>,
+    pair: &RoadPair<'_, '_>,
     height_m: f64,
     settings: &RoadSettings,
     camera: &Pinhole,
     y_z1: f64,
 ) -> Option<(usize, usize)> {
+    let normal = pair.expected_normal;
     let depth_m = height_m / (normal.y * y_z1 + normal.z);
     if !(depth_m >= settings.distance_m[0] && depth_m <= settings.distance_m[1]) {
         return None;
     }
-    let half_px = camera.fx * settings.half_width_m / depth_m;
-    let first = libm::ceil(camera.cx - half_px - 0.5).max(0.0) as usize;
-    let end = libm::ceil(camera.cx + half_px - 0.5).clamp(0.0, f64::from(camera.width)) as usize;
+    // The vehicle goes on along the circle that it came on: x = curvature z^2 / 2.
+    let curvature =
+        pair.earlier_from_later.rotation.scaled_axis().y / pair.earlier_from_later.translation.vector.norm();
+    let center_m = (0.5 * curvature * depth_m * depth_m).clamp(-depth_m, depth_m) * settings.bend;
+    let (center_px, half_px) =
+        (camera.cx + camera.fx * center_m / depth_m, camera.fx * settings.half_width_m / depth_m);
+    let width_px = f64::from(camera.width);
+    let first = libm::ceil(center_px - half_px - 0.5).clamp(0.0, width_px) as usize;
+    let end = libm::ceil(center_px + half_px - 0.5).clamp(0.0, width_px) as usize;
     (first < end).then_some((first, end))
 }

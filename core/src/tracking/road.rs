@@ -10,6 +10,9 @@ use nalgebra::{Translation3, Vector3};
 /// Lengths of the first step that are searched, m.
 const FIRST_STEP_RANGE_M: [f64; 2] = [0.1, 8.0];
 
+/// A measurement that keeps this much weight shows the road well enough to learn its normal from.
+const BELIEVED_WEIGHT: f64 = 0.5;
+
 /// A step's length as the road tells it.
 pub(super) struct RoadStep {
     pub(super) step_m: f64,
@@ -59,7 +62,8 @@ impl Tracker<'_> {
             return nothing;
         };
         let earlier_from_later = earlier_k.camera_from_world * later_k.camera_from_world.inverse();
-        self.scale.drive(earlier_from_later.translation.vector.norm(), &self.settings.scale);
+        let step_m = earlier_from_later.translation.vector.norm();
+        let drift = self.scale.drive(step_m, &self.settings.scale);
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
             earlier: &self.pyramids[earlier_slot],
@@ -68,12 +72,16 @@ impl Tracker<'_> {
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
-        let Ok(found) = align_road(&pair, &self.mounting, &self.settings.road) else { return nothing };
-        let ratio = self.mounting.height_m / found.height_m;
-        if let ScaleUpdate::Accept { correction } = self.scale.update(ratio, found.relative_sigma, &self.settings.scale)
-        {
+        let measured = align_road(&pair, &self.mounting, &self.settings.road);
+        self.window.rescale(drift, earlier, self.landmarks);
+        let Ok(found) = measured else { return nothing };
+        let ratio = self.mounting.height_m / found.height_m / drift;
+        let update = self.scale.update(ratio, found.relative_sigma, step_m, &self.settings.scale);
+        if let ScaleUpdate::Accept { correction, weight } = update {
             self.window.rescale(correction, earlier, self.landmarks);
-            self.learn_normal(&found);
+            if weight > BELIEVED_WEIGHT {
+                self.learn_normal(&found);
+            }
         }
         ScaleFigures { ratio, n_pixels: found.n_pixels }
     }

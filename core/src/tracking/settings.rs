@@ -113,6 +113,8 @@ impl TrackingSettings {
         road: RoadSettings {
             distance_m: [5.0, 16.0],
             half_width_m: 1.8,
+            standing_grey: 2.0,
+            bend: 1.0,
             normal_sigma_rad: [0.01, 0.01],
             working_width_px: 600,
             max_iterations: 15,
@@ -122,10 +124,14 @@ impl TrackingSettings {
         },
         scale: ScaleFilterSettings {
             first_sigma: 1.0,
-            drift_per_sqrt_m: 0.005,
-            measurement_sigma: 0.04,
-            gate_sigmas: 3.0,
-            max_rejections: 20,
+            drift_per_sqrt_m: 0.002,
+            drift_rate_sigma_per_m: 0.0005,
+            drift_rate_change_per_m: 0.00002,
+            measurement_sigma: 0.03,
+            correlation_m: 10.0,
+            early_sigma: 0.2,
+            kernel_sigmas: 2.0,
+            max_jump: 2.0,
         },
         motion: MotionLimits {
             max_turn_change_rad_per_s: 0.87,
