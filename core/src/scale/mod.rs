@@ -6,3 +6,6 @@ mod strip;
 
 pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road, search_road};
 pub use scale_filter::{ScaleFilter, ScaleFilterSettings, ScaleUpdate};
+
+#[cfg(test)]
+mod tests;

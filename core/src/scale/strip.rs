@@ -207,9 +207,12 @@ impl Alignment {
                 let r = self.gain * value + self.bias - later;
                 let ratio = r / (TUKEY_SIGMAS * noise);
                 let tukey = if ratio.abs() < 1.0 { (1.0 - ratio * ratio) * (1.0 - ratio * ratio) } else { 0.0 };
-                let change = standing.get(column).map_or(0.0, |&s| f64::from(s) - later);
-                let weight =
-                    tukey * change * change / (change * change + settings.standing_grey * settings.standing_grey);
+                // Zero where nothing changed, and symmetric in the two pixels that the residual compares: a weight
+                // that knew only one of them would correlate its noise with the gradient and shorten the step.
+                let still = standing.get(column).map_or(later, |&s| f64::from(s));
+                let change2 = ((still - later) * (still - later - r)).max(0.0);
+                let weight = tukey * (change2 + f64::EPSILON)
+                    / (change2 + settings.standing_grey * settings.standing_grey + f64::EPSILON);
                 n_pixels += 1;
                 moments.add(value, later, weight, r.abs());
                 let along = self.gain * inverse_z * (gx * c.fx * (t.x - u * t.z) + gy * c.fy * (t.y - v * t.z));

@@ -1,7 +1,7 @@
 //! The pose of one frame against the last keyframe.
 
 use super::settings::{DynamicFilter, PoseModels};
-use super::tracker::{Motion, NO_LANDMARK, Tracker};
+use super::tracker::{Motion, NO_LANDMARK, Tracker, seconds_between};
 use super::{FrameStatus, PoseModel, StatusReason};
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
@@ -129,7 +129,7 @@ impl Tracker<'_> {
             }
         }
         if !self.is_started || self.settings.pose_models != PoseModels::Pnp {
-            match self.essential_pose(predicted, frame_index, timestamp_ns).map(|p| self.verified(p, timestamp_ns)) {
+            match self.essential_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
                 Some(Ok(pose)) => return pose,
                 Some(Err(pose)) => rejected = rejected.or(Some(pose)),
                 None => {}
@@ -146,8 +146,12 @@ impl Tracker<'_> {
 
     /// Judges the step from the last frame; `Err` carries the rejected pose with its figures.
     fn verified(&self, pose: FramePose, timestamp_ns: TimestampNs) -> Result<FramePose, FramePose> {
-        let later_from_earlier = pose.camera_from_world * self.motion.camera_from_world.inverse();
-        let duration_s = self.seconds_since_last(timestamp_ns);
+        let (earlier_from_world, duration_s) = if self.is_started {
+            (self.motion.camera_from_world, self.seconds_since_last(timestamp_ns))
+        } else {
+            (self.newest.camera_from_world, seconds_between(self.newest.timestamp_ns, timestamp_ns))
+        };
+        let later_from_earlier = pose.camera_from_world * earlier_from_world.inverse();
         let prior = self.motion.prior.as_ref();
         let limits = &self.settings.motion;
         let verdict = judge_motion(&later_from_earlier, duration_s, prior, &self.mounting, limits);
@@ -227,7 +231,7 @@ impl Tracker<'_> {
     }
 
     /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.
-    fn essential_pose(&mut self, predicted: &Rigid, frame_index: u64, timestamp_ns: TimestampNs) -> Option<FramePose> {
+    fn essential_pose(&mut self, predicted: &Rigid, frame_index: u64) -> Option<FramePose> {
         let n = self.collect_matches();
         let matches = self.scratch.matches.get(..n)?;
         let keyframe_from_world = self.newest.camera_from_world;
@@ -250,20 +254,14 @@ impl Tracker<'_> {
             n_dynamic: n - found.n_inliers,
             ..FramePose::solved(&keyframe_from_world, PoseModel::Essential, n, found.n_inliers)
         };
-        let step_m = self.length_of_step(&motion, length_m, timestamp_ns, &mut pose)?;
+        let step_m = self.length_of_step(&motion, length_m, &mut pose)?;
         let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * step_m), motion.rotation);
         pose.camera_from_world = camera_from_keyframe * keyframe_from_world;
         Some(pose)
     }
 
     /// Metres of the step since the keyframe: from landmarks, else from the road, else from the speed so far.
-    fn length_of_step(
-        &mut self,
-        motion: &RelativePose,
-        predicted_m: f64,
-        timestamp_ns: TimestampNs,
-        pose: &mut FramePose,
-    ) -> Option<f64> {
+    fn length_of_step(&mut self, motion: &RelativePose, predicted_m: f64, pose: &mut FramePose) -> Option<f64> {
         let n = if self.is_started { self.collect_landmark_matches() } else { 0 };
         if n >= self.settings.min_inliers {
             let matches = self.scratch.landmark_matches.get(..n)?;
@@ -274,9 +272,8 @@ impl Tracker<'_> {
             pose.is_metric = true;
             return Some(measured.step_m);
         }
-        let has_speed = self.motion.prior.is_some() && timestamp_ns > self.motion.timestamp_ns;
         pose.is_metric = false;
-        has_speed.then_some(predicted_m)
+        self.motion.is_known().then_some(predicted_m)
     }
 
     /// Fills the matches of all live tracks with the keyframe and returns their number.

@@ -128,7 +128,7 @@ impl TrackingSettings {
             drift_rate_sigma_per_m: 0.0005,
             drift_rate_change_per_m: 0.00002,
             measurement_sigma: 0.03,
-            correlation_m: 10.0,
+            correlation_m: 5.0,
             early_sigma: 0.2,
             kernel_sigmas: 2.0,
             max_jump: 2.0,

@@ -56,13 +56,25 @@ pub(super) struct Scratch<'m> {
     pub(super) landmark_of_match: &'m mut [u32],
 }
 
-/// The last believed or predicted pose and how it moves.
+/// The last believed pose and how it moves.
 pub(super) struct Motion {
     pub(super) camera_from_world: Rigid,
     pub(super) timestamp_ns: TimestampNs,
     /// Tangent of `later_from_earlier` per second.
     pub(super) velocity: Vector6<f64>,
     pub(super) prior: Option<MotionPrior>,
+}
+
+impl Motion {
+    /// Whether any speed has been measured, be it before the window was given up.
+    pub(super) fn is_known(&self) -> bool {
+        self.velocity != Vector6::zeros()
+    }
+}
+
+/// Seconds from one timestamp to a later one.
+pub(super) fn seconds_between(earlier_ns: TimestampNs, later_ns: TimestampNs) -> f64 {
+    later_ns.saturating_sub(earlier_ns) as f64 / NS_PER_S
 }
 
 /// Follows one camera from image to image: every image in, one [`FrameReport`] out.
@@ -93,6 +105,7 @@ pub struct Tracker<'m> {
     /// Whether the window has landmarks with metric depth.
     pub(super) is_started: bool,
     n_doubtful: u32,
+    last_timestamp_ns: Option<TimestampNs>,
 }
 
 impl fmt::Debug for Tracker<'_> {
@@ -170,6 +183,7 @@ impl<'m> Tracker<'m> {
             road: None,
             is_started: false,
             n_doubtful: 0,
+            last_timestamp_ns: None,
         })
     }
 
@@ -210,14 +224,14 @@ impl<'m> Tracker<'m> {
     /// # Output
     /// Pose, verdict and figures. Numbers are finite except where their documentation says NaN.
     pub fn step(&mut self, image: ImageView<'_>, frame_index: u64, timestamp_ns: TimestampNs) -> FrameReport {
-        let is_first_ever = self.window.next_ordinal() == 0;
         self.current_slot =
             (0..N_PYRAMIDS).find(|&slot| slot != self.keyframe_slot && slot != self.previous_slot).unwrap_or(0);
-        let is_late = timestamp_ns > self.motion.timestamp_ns || is_first_ever;
-        if !is_late || self.pyramids[self.current_slot].build(image).is_err() {
+        let is_later = self.last_timestamp_ns.is_none_or(|last| timestamp_ns > last);
+        if !is_later || self.pyramids[self.current_slot].build(image).is_err() {
             let pose = FramePose::lost(&self.motion, StatusReason::Unusable);
             return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
         }
+        self.last_timestamp_ns = Some(timestamp_ns);
         let predicted = self.predict(timestamp_ns);
         if self.window.is_empty() {
             let pose = self.start_window(frame_index, timestamp_ns, &predicted);
@@ -234,14 +248,17 @@ impl<'m> Tracker<'m> {
         self.previous_slot = self.current_slot;
         if pose.status == FrameStatus::Tracked {
             self.n_doubtful = 0;
+            if !self.is_started {
+                // Single steps are too short to know their length before there are landmarks.
+                self.motion.camera_from_world = self.newest.camera_from_world;
+                self.motion.timestamp_ns = self.newest.timestamp_ns;
+            }
             if self.wants_keyframe(&pose, &track_report) {
                 self.promote(frame_index, timestamp_ns, &mut pose);
             }
             self.believe(&pose, timestamp_ns);
         } else {
             self.n_doubtful += 1;
-            self.motion.camera_from_world = pose.camera_from_world;
-            self.motion.timestamp_ns = timestamp_ns;
             if self.n_doubtful >= self.settings.max_doubtful_frames || pose.status == FrameStatus::Lost {
                 self.abandon_window();
             }
@@ -249,9 +266,9 @@ impl<'m> Tracker<'m> {
         self.report(frame_index, timestamp_ns, &pose, &track_report)
     }
 
-    /// Seconds since the last frame that has a pose.
+    /// Seconds since the last frame whose pose was believed.
     pub(super) fn seconds_since_last(&self, timestamp_ns: TimestampNs) -> f64 {
-        timestamp_ns.saturating_sub(self.motion.timestamp_ns) as f64 / NS_PER_S
+        seconds_between(self.motion.timestamp_ns, timestamp_ns)
     }
 
     /// Constant velocity.
@@ -326,6 +343,7 @@ impl<'m> Tracker<'m> {
         self.tracks.clear();
         self.is_started = false;
         self.n_doubtful = 0;
+        self.motion.prior = None;
         self.n_keyframe_points = 0;
         self.road = None;
         self.scale = ScaleFilter::new(&self.settings.scale);

@@ -108,6 +108,8 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.road_nearest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[0]),
     number!("tracking.road_farthest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[1]),
     number!("tracking.road_half_width_m", Range::closed(0.5, 4.0), tracking.tracker.road.half_width_m),
+    number!("tracking.road_standing_grey", Range::closed(0.0, 50.0), tracking.tracker.road.standing_grey),
+    number!("tracking.road_bend", Range::closed(0.0, 1.0), tracking.tracker.road.bend),
     number!("tracking.road_pitch_sigma_rad", Range::closed(0.001, 0.1), tracking.tracker.road.normal_sigma_rad[0]),
     number!("tracking.road_roll_sigma_rad", Range::closed(0.001, 0.1), tracking.tracker.road.normal_sigma_rad[1]),
     whole!("tracking.road_working_width_px", Range::closed(300.0, 2000.0), tracking.tracker.road.working_width_px),
@@ -118,8 +120,20 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.scale_first_sigma", Range::closed(0.1, 3.0), tracking.tracker.scale.first_sigma),
     number!("tracking.scale_drift_per_sqrt_m", Range::closed(0.0001, 0.05), tracking.tracker.scale.drift_per_sqrt_m),
     number!("tracking.scale_measurement_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.measurement_sigma),
-    number!("tracking.scale_gate_sigmas", Range::closed(2.0, 5.0), tracking.tracker.scale.gate_sigmas),
-    whole!("tracking.scale_max_rejections", Range::closed(3.0, 100.0), tracking.tracker.scale.max_rejections),
+    number!(
+        "tracking.scale_drift_rate_sigma_per_m",
+        Range::closed(0.0, 0.01),
+        tracking.tracker.scale.drift_rate_sigma_per_m
+    ),
+    number!(
+        "tracking.scale_drift_rate_change_per_m",
+        Range::closed(0.0, 0.001),
+        tracking.tracker.scale.drift_rate_change_per_m
+    ),
+    number!("tracking.scale_correlation_m", Range::closed(0.0, 100.0), tracking.tracker.scale.correlation_m),
+    number!("tracking.scale_early_sigma", Range::closed(0.0, 1.0), tracking.tracker.scale.early_sigma),
+    number!("tracking.scale_kernel_sigmas", Range::closed(1.0, 5.0), tracking.tracker.scale.kernel_sigmas),
+    number!("tracking.scale_max_jump", Range::closed(1.05, 10.0), tracking.tracker.scale.max_jump),
     number!(
         "tracking.motion_max_turn_change_rad_per_s",
         Range::closed(0.1, 10.0),
