@@ -49,6 +49,7 @@ impl OutputFolder {
     /// [`OutputError`] when the folder or a file cannot be made.
     pub fn create(dir: &Path) -> Result<Self, OutputError> {
         std::fs::create_dir_all(dir).map_err(|source| OutputError::Folder { path: dir.to_owned(), source })?;
+        remove_earlier_judgements(dir)?;
         let mut frames_csv = TextSink::create(dir.join("frames.csv"))?;
         frame_row::write_header(&mut frames_csv)?;
         Ok(Self {
@@ -144,6 +145,20 @@ impl OutputFolder {
         }
         Ok(summary)
     }
+}
+
+/// Figures and pictures of an earlier run say nothing about this one, even if this one never comes to its end.
+fn remove_earlier_judgements(dir: &Path) -> Result<(), OutputError> {
+    let pictures = std::fs::read_dir(dir.join("renders")).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_ours = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        name.ends_with("_camera.jpg") || name.ends_with("_render.jpg")
+    };
+    let reports = ["report.json", "report.html", "eval.json"].map(|name| dir.join(name));
+    for path in reports.into_iter().filter(|path| path.is_file()).chain(pictures.filter(is_ours)) {
+        std::fs::remove_file(&path).map_err(OutputError::write(&path))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

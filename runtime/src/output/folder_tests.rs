@@ -164,3 +164,16 @@ fn a_full_disk_and_an_impossible_folder_are_named_with_a_way_out() {
     let complaint = OutputFolder::create(&file.join("out")).expect_err("below a file").to_string();
     assert!(complaint.contains("name another one with --out"), "{complaint}");
 }
+
+#[test]
+fn what_an_earlier_run_scored_is_gone_and_what_is_not_ours_stays() {
+    let dir = folder();
+    std::fs::create_dir(dir.path().join("renders")).expect("folder");
+    let names = ["report.json", "eval.json", "renders/000001_render.jpg", "renders/mine.png", "notes.txt"];
+    for name in names {
+        std::fs::write(dir.path().join(name), "old").expect("written");
+    }
+    OutputFolder::create(dir.path()).expect("created");
+    let left: Vec<&str> = names.into_iter().filter(|name| dir.path().join(name).exists()).collect();
+    assert_eq!(left, ["renders/mine.png", "notes.txt"]);
+}
