@@ -109,7 +109,10 @@ pub fn project<L: Lane>(camera: &CameraConstants, placement: &CameraFromKeyframe
     let xx = dot(&root_px[0], &root_px[0]) + dilation;
     let xy = dot(&root_px[0], &root_px[1]);
     let yy = dot(&root_px[1], &root_px[1]) + dilation;
-    let inverse_determinant = z.constant(1.0) / (xx * yy - xy * xy);
+    // Lagrange's identity: no difference of large products, which would leave nothing of a needle's determinant in f32.
+    let normal = cross(&root_px[0], &root_px[1]);
+    let determinant = dilation.mul_add(xx + yy - dilation, dot(&normal, &normal));
+    let inverse_determinant = z.constant(1.0) / determinant;
     Projected {
         mean_px: each!(i in 2 => z1[i].mul_add(z.constant(camera.focal_px[i]), z.constant(camera.center_px[i]))),
         depth_m: z,
@@ -191,6 +194,11 @@ fn root_px_backward<L: Lane>(p: &Projected<L>, grad_conic: &[L; 3]) -> [[L; 3]; 
 #[inline(always)]
 fn dot<L: Lane>(a: &[L; 3], b: &[L; 3]) -> L {
     a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+#[inline(always)]
+fn cross<L: Lane>(a: &[L; 3], b: &[L; 3]) -> [L; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]

@@ -2,7 +2,9 @@
 
 use crate::splat::cpu::decode::{AnchorLanes, Decoded, N_PARAMS, decode, decode_backward};
 use crate::splat::cpu::lane::{Lane, Wide};
-use crate::splat::cpu::project::{CameraConstants, CameraFromKeyframe, SplatGradient, project, project_backward};
+use crate::splat::cpu::project::{
+    CameraConstants, CameraFromKeyframe, Projected, SplatGradient, project, project_backward,
+};
 use crate::splat::cpu::simd::{Dispatch, SimdLevel};
 use crate::splat::cpu::update::anisotropy;
 use kilogs_core::math::rng::Rng;
@@ -111,6 +113,48 @@ fn decoding_and_projection_agree_with_differences() {
             let difference = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
             let error = (difference - gradient[i]).abs() / norm;
             assert!(error < 1e-7, "seed {seed}, number {i}: {} by differences {difference}", gradient[i]);
+        }
+    }
+}
+
+/// A needle of 50 m at a distance of 1 m, across the diagonal of the picture.
+struct ProjectNeedle;
+
+impl WithSimd for ProjectNeedle {
+    type Output = [f32; 3];
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let mut out = [0.0; 3];
+        let projected = needle(Wide::splat(simd, 0.0));
+        for (out, lanes) in out.iter_mut().zip(projected.conic) {
+            lanes.store(core::slice::from_mut(out));
+        }
+        out
+    }
+}
+
+#[inline(always)]
+fn needle<L: Lane>(zero: L) -> Projected<L> {
+    let (sin, cos) = (std::f64::consts::FRAC_PI_8.sin(), std::f64::consts::FRAC_PI_8.cos());
+    let one = zero.constant(1.0);
+    let gaussian = Decoded {
+        mean: [zero.constant(0.1), zero.constant(-0.1), one],
+        rotation: [zero, zero, zero.constant(sin), zero.constant(cos)],
+        scale: [zero.constant(50.0), zero.constant(1e-3), zero.constant(1e-3)],
+        opacity: one,
+        color: [one; 3],
+    };
+    let identity = [[one, zero, zero], [zero, one, zero], [zero, zero, one]];
+    project(&CAMERA, &CameraFromKeyframe { linear: identity, translation: [zero; 3] }, &gaussian)
+}
+
+#[test]
+fn a_needle_keeps_its_width_in_single_precision() {
+    let expected = needle(0.0f64).conic;
+    for dispatch in SimdLevel::ALL.into_iter().filter_map(Dispatch::new) {
+        let got = dispatch.run(ProjectNeedle);
+        for (got, expected) in got.iter().zip(expected) {
+            assert!((f64::from(*got) / expected - 1.0).abs() < 1e-3, "{got}, expected {expected}");
         }
     }
 }

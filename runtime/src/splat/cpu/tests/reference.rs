@@ -4,8 +4,9 @@
 /// (Wang et al. 2004, eq. 13).
 pub fn ssim(x: &[f64], y: &[f64], width: usize) -> f64 {
     let height = x.len() / width;
-    let weight = |d: isize| (-(d * d) as f64 / (2.0 * 1.5 * 1.5)).exp();
-    let norm: f64 = (-5..=5).map(weight).sum();
+    let mut weights: [f64; 11] = core::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * 1.5 * 1.5)).exp());
+    let norm: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|w| *w /= norm);
     let mut total = 0.0;
     for row in 0..height as isize {
         for column in 0..width as isize {
@@ -15,7 +16,7 @@ pub fn ssim(x: &[f64], y: &[f64], width: usize) -> f64 {
                 if r < 0 || c < 0 || r >= height as isize || c >= width as isize {
                     continue;
                 }
-                let w = weight(dr) * weight(dc) / (norm * norm);
+                let w = weights[(dr + 5) as usize] * weights[(dc + 5) as usize];
                 let (a, b) = (x[r as usize * width + c as usize], y[r as usize * width + c as usize]);
                 mx += w * a;
                 my += w * b;
