@@ -25,3 +25,6 @@ pub use settings::MapperSettings;
 pub use shrink::mapping_camera;
 pub use sink::PageSink;
 pub use viewer::{MapViewer, Viewed, ViewerError};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,195 @@
+//! A short drive along a street of painted planes, mapped with tiny capacities.
+
+use super::*;
+use crate::map_store::{PageDraft, WriteRefusal};
+use crate::seal;
+use crate::splat::Capacities;
+use crate::splat::cpu::{CpuBackend, SimdLevel};
+use kilogs_core::camera::Pinhole;
+use kilogs_core::conventions::Rigid;
+use kilogs_core::frame::PixelFormat;
+use kilogs_core::store::{ChunkBackground, ChunkLabel, PageEncoder, PageLabel, decode_page};
+use kilogs_core::tracking::RoadPlane;
+
+const CAMERA: Pinhole = Pinhole { width: 96, height: 48, fx: 60.0, fy: 60.0, cx: 48.0, cy: 20.0 };
+const ROAD: RoadPlane = RoadPlane { normal_in_camera: [0.0, 1.0, 0.0], height_m: 1.65 };
+const STEP_M: f64 = 4.0;
+
+/// Takes pages into memory; while `busy_calls` lasts it refuses.
+#[derive(Default)]
+struct MemorySink {
+    pages: Vec<Vec<u8>>,
+    chunks: Vec<(ChunkLabel, Vec<[f32; 3]>)>,
+    busy_calls: usize,
+}
+
+impl PageSink for MemorySink {
+    fn begin_page(&mut self, label: PageLabel) -> Result<PageDraft, WriteRefusal> {
+        if self.busy_calls > 0 {
+            self.busy_calls -= 1;
+            return Err(WriteRefusal::Busy);
+        }
+        Ok(PageEncoder::new(vec![0; 1 << 20].into_boxed_slice(), label)?)
+    }
+
+    fn commit_page(&mut self, draft: PageDraft) -> Result<(), WriteRefusal> {
+        let (bytes, len) = draft.finish()?;
+        self.pages.push(bytes[..len].to_vec());
+        Ok(())
+    }
+
+    fn write_chunk(&mut self, label: ChunkLabel, background: ChunkBackground<'_>) -> Result<(), WriteRefusal> {
+        self.chunks.push((label, background.texels.to_vec()));
+        Ok(())
+    }
+}
+
+/// What a camera `z_m` down the street sees: a striped road, painted walls 6 m to either side, a plain sky.
+fn picture(z_m: f64) -> Vec<u8> {
+    let stripes = |x: f64, y: f64| (x * 2.1).sin() * (y * 1.7).cos() * 60.0 + (x * 0.6 + y * 0.4).sin() * 40.0;
+    (0..CAMERA.width * CAMERA.height)
+        .map(|i| {
+            let ray_x = (f64::from(i % CAMERA.width) + 0.5 - CAMERA.cx) / CAMERA.fx;
+            let ray_y = (f64::from(i / CAMERA.width) + 0.5 - CAMERA.cy) / CAMERA.fy;
+            let road_m = if ray_y > 0.0 { ROAD.height_m / ray_y } else { f64::INFINITY };
+            let wall_m = 6.0 / ray_x.abs();
+            let value = if road_m < wall_m {
+                110.0 + stripes(ray_x * road_m, road_m + z_m)
+            } else if ray_y * wall_m > -5.0 {
+                100.0 + stripes(ray_y * wall_m * 2.0, wall_m + z_m + ray_x.signum())
+            } else {
+                230.0
+            };
+            value.clamp(0.0, 255.0) as u8
+        })
+        .collect()
+}
+
+fn packet<'a>(ordinal: u32, pixels: &'a [u8]) -> KeyframePacket<'a> {
+    KeyframePacket {
+        ordinal,
+        frame_index: 16 * u64::from(ordinal),
+        timestamp_ns: 0,
+        world_from_camera: Rigid::translation(0.0, 0.0, STEP_M * f64::from(ordinal)),
+        image: MappingImage { pixels, stride_bytes: CAMERA.width as usize, format: PixelFormat::Mono8 },
+        points: &[],
+        road: Some(ROAD),
+    }
+}
+
+fn mapper(threads: usize, anchors: usize) -> Mapper {
+    let capacity = MapperCapacity {
+        anchors,
+        gaussians_per_anchor: 2,
+        voxels: 2 * anchors,
+        images: 8,
+        new_anchors: 600,
+        keyframe_rows: 64,
+        chunk_rows: 2,
+    };
+    let backend = Capacities {
+        keyframe_rows: capacity.keyframe_rows,
+        chunk_rows: capacity.chunk_rows,
+        ..Capacities::for_map(anchors, 2, CAMERA.width, CAMERA.height)
+    };
+    let backend = CpuBackend::new(backend, threads, SimdLevel::best(), |_| ()).expect("a possible backend");
+    let settings = MapperSettings { page_distance_m: 30.0, ..MapperSettings::measured(7, 1.0) };
+    Mapper::new(settings, capacity, &CAMERA, 1, Box::new(backend))
+}
+
+/// Drives `n_keyframes` and hands over everything.
+fn drive(mapper: &mut Mapper, n_keyframes: u32, sink: &mut MemorySink) -> Vec<(InsertReport, OptimizeReport)> {
+    let reports = (0..n_keyframes)
+        .map(|ordinal| {
+            let pixels = picture(STEP_M * f64::from(ordinal));
+            let inserted = mapper.insert_keyframe(&packet(ordinal, &pixels), sink).expect("a usable keyframe");
+            (inserted, mapper.optimize(4))
+        })
+        .collect();
+    assert!(mapper.finish(sink));
+    reports
+}
+
+#[test]
+fn a_street_is_inserted_trained_and_handed_over_completely() {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    let reports = drive(&mut mapper, 24, &mut sink);
+    let (first, last) = (&reports[1].1, &reports[23].1);
+    assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db + 2.0, "{first:?} then {last:?}");
+    assert!(reports[23].0.n_gaussians < reports[1].0.n_gaussians, "a known street asks for less");
+    let counters = mapper.counters();
+    let labels: Vec<PageLabel> = sink.pages.iter().map(|page| decode_page(page).expect("a whole page").0).collect();
+    let n_stored: u64 = labels.iter().map(|label| u64::from(label.n_anchors)).sum();
+    assert_eq!(n_stored, counters.anchors_total - counters.anchors_pruned);
+    assert_eq!((counters.anchors_stored, mapper.n_resident_anchors()), (n_stored, 0));
+    assert!(labels.iter().zip(0u32..).all(|(label, id)| label.page_id == id && label.n_anchors > 0));
+    assert_eq!(labels.last().map(|label| label.last_keyframe_id), Some(29));
+    assert_eq!(sink.chunks.len(), 1);
+    let horizon_and_up = &sink.chunks[0].1[sink.chunks[0].1.len() / 2..];
+    let brightness = horizon_and_up.iter().map(|c| c[0]).sum::<f32>() / horizon_and_up.len() as f32;
+    assert!(brightness > 0.75, "the sky is bright, not {brightness}");
+}
+
+#[test]
+fn the_map_does_not_depend_on_the_number_of_threads() {
+    let pages = |threads| {
+        let mut sink = MemorySink::default();
+        drive(&mut mapper(threads, 16_384), 6, &mut sink);
+        (sink.pages, sink.chunks.into_iter().map(|chunk| chunk.1).collect::<Vec<_>>())
+    };
+    assert!(pages(1) == pages(2), "same input, same bytes");
+}
+
+#[test]
+fn a_full_pool_refuses_and_says_how_often() {
+    let (mut mapper, mut sink) = (mapper(1, 64), MemorySink::default());
+    let reports = drive(&mut mapper, 3, &mut sink);
+    assert!(reports.iter().any(|(inserted, _)| inserted.n_refused > 0));
+    assert_eq!(mapper.counters().anchors_resident_peak, 64);
+    assert!(mapper.counters().refused > 0);
+}
+
+#[test]
+fn a_busy_sink_gets_the_same_pages_later() {
+    for busy_calls in [0, 3] {
+        let mut sink = MemorySink { busy_calls, ..MemorySink::default() };
+        let mut mapper = mapper(1, 16_384);
+        for ordinal in 0..20 {
+            let pixels = picture(STEP_M * f64::from(ordinal));
+            mapper.insert_keyframe(&packet(ordinal, &pixels), &mut sink).expect("a usable keyframe");
+        }
+        assert!(mapper.finish(&mut sink));
+        let counters = mapper.counters();
+        assert!(sink.pages.len() > 2 && sink.busy_calls == 0);
+        assert_eq!(counters.anchors_stored, counters.anchors_total - counters.anchors_pruned, "nothing is lost");
+    }
+    let mut sink = MemorySink { busy_calls: usize::MAX, ..MemorySink::default() };
+    let mut stuck = mapper(1, 16_384);
+    let pixels = picture(0.0);
+    stuck.insert_keyframe(&packet(0, &pixels), &mut sink).expect("a usable keyframe");
+    assert!(!stuck.finish(&mut sink) && stuck.n_resident_anchors() > 0);
+}
+
+#[test]
+fn held_out_frames_and_odd_images_are_refused_without_a_trace() {
+    let (mut mapper, mut sink, pixels) = (mapper(1, 64), MemorySink::default(), picture(0.0));
+    let held_out = KeyframePacket { frame_index: 15, ..packet(0, &pixels) };
+    assert_eq!(mapper.insert_keyframe(&held_out, &mut sink), Err(PacketRefused::HeldOut { frame_index: 15 }));
+    let truncated = packet(1, &pixels[1..]);
+    let refused = Err(PacketRefused::ImageDoesNotFit { frame_index: 16 });
+    assert_eq!(mapper.insert_keyframe(&truncated, &mut sink), refused);
+    assert_eq!((mapper.counters(), mapper.optimize(3)), (MapCounters::default(), OptimizeReport::default()));
+}
+
+#[test]
+fn after_construction_nothing_is_allocated() {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    let pictures: Vec<Vec<u8>> = (0..3).map(|ordinal| picture(STEP_M * f64::from(ordinal))).collect();
+    let sealed = seal::enter();
+    for (pixels, ordinal) in pictures.iter().zip(0..) {
+        let inserted = mapper.insert_keyframe(&packet(ordinal, pixels), &mut sink);
+        assert!(inserted.is_ok_and(|report| report.n_gaussians > 0));
+        mapper.optimize(3);
+    }
+    assert_eq!(sealed.violations(), (0, 0));
+}
