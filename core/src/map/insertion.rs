@@ -30,8 +30,8 @@ impl InsertionSettings {
         structure_weight: 0.9,
         depth_edge_weight: 0.1,
         samples_per_pixel: 0.05,
-        bare_probability: 0.2,
-        error_weight: 0.0,
+        bare_probability: 0.4,
+        error_weight: 1.0,
         sigma_per_spacing: 0.5,
     };
 }
@@ -373,7 +373,8 @@ mod tests {
         };
         let mut samples = vec![InsertionSample::default(); n];
         let scratch = SamplingScratch { probability: &mut vec![0.0; n], kept: &mut vec![0; n] };
-        let found = sample(&images, &InsertionSettings::MEASURED, &mut Rng::new(1, 2, 3), scratch, &mut samples);
+        let settings = InsertionSettings { bare_probability: 0.2, error_weight: 0.0, ..InsertionSettings::MEASURED };
+        let found = sample(&images, &settings, &mut Rng::new(1, 2, 3), scratch, &mut samples);
         samples.truncate(found.n_samples);
         samples
     }

@@ -30,9 +30,9 @@ pub struct MapperCapacity {
 impl MapperCapacity {
     /// The capacities that the shipped plan for 1241x376 in 512 MiB has.
     pub const KITTI: Self = Self {
-        anchors: 65_536,
-        gaussians_per_anchor: 4,
-        voxels: 131_072,
+        anchors: 131_072,
+        gaussians_per_anchor: 2,
+        voxels: 262_144,
         images: 48,
         new_anchors: 8192,
         keyframe_rows: 512,

@@ -1,10 +1,27 @@
 //! What decides how a map is built.
 
-use crate::splat::StepSettings;
+use crate::splat::{LearningRate, LearningRates, LossWeights, StepSettings};
 use kilogs_core::map::depth::motion_stereo::StereoSettings;
 use kilogs_core::map::depth::sparse::SparseSettings;
 use kilogs_core::map::insertion::InsertionSettings;
 use kilogs_core::map::spawn::SpawnSettings;
+
+/// One optimizer step: [`LearningRates::DIRECT`] two to five times as fast, because a surface is looked at in some
+/// tens of steps before the vehicle has passed it, and no pull towards round Gaussians, because a road seen at a
+/// grazing angle is flat. On 20 keyframes of a street, ten steps each: 20.9 dB with the method's rates and its weight
+/// of 10, 21.5 dB without that weight, 23.2 dB with two to three times the rates (and bare and wrong pixels sampled
+/// more), 23.4 dB with these.
+const STEP: StepSettings = StepSettings {
+    rates: LearningRates {
+        offset: LearningRate { start: 0.03, end: 3e-4 },
+        log_scale: LearningRate::constant(0.035),
+        opacity: LearningRate::constant(0.1),
+        color: LearningRate { start: 0.12, end: 0.04 },
+        ..LearningRates::DIRECT
+    },
+    progress: 0.0,
+    weights: LossWeights { isotropy: 0.0, ..LossWeights::METHOD },
+};
 
 /// Everything of the mapper that changes results and is not a capacity.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +73,7 @@ impl MapperSettings {
             older_views: 2,
             newest_share: 0.35,
             older_share: 0.15,
-            step: StepSettings::direct(0.0),
+            step: STEP,
             page_distance_m: 100.0,
             min_opacity: 0.05,
             max_width_ratio: 0.5,
