@@ -1,0 +1,151 @@
+use super::*;
+use crate::bundle::ReducedSystem;
+use crate::camera::{Mounting, Pinhole};
+use crate::features::SimdLevel;
+use crate::features::corners::Corner;
+use crate::features::lk::Flow;
+use crate::features::tracks::{Track, TrackStorage};
+use crate::frame::ImageView;
+use crate::keyframe::Landmark;
+use crate::pose::{LandmarkMatch, Match};
+use nalgebra::Vector3;
+use std::{boxed::Box, vec, vec::Vec};
+
+const WIDTH: usize = 480;
+const HEIGHT: usize = 200;
+const CAMERA: Pinhole = Pinhole { width: 480, height: 200, fx: 280.0, fy: 280.0, cx: 240.0, cy: 80.0 };
+const MOUNTING: Mounting = Mounting {
+    height_m: 1.5,
+    pitch_rad: 0.0,
+    roll_rad: 0.0,
+    forward_axis: [0.0, 0.0, 1.0],
+    lever_arm_m: [0.0, 0.0, -1.5],
+};
+const FRAME_NS: TimestampNs = 100_000_000;
+
+/// Grey of a surface, smooth between random values on a grid of `cell_m`.
+fn texture(seed: u64, a: f64, b: f64, cell_m: f64) -> f64 {
+    let (a, b) = (a / cell_m, b / cell_m);
+    let (i, j) = (libm::floor(a), libm::floor(b));
+    let at = |di: f64, dj: f64| {
+        crate::math::Rng::new(seed, (i + di + 1e6) as u64, (j + dj + 1e6) as u64).unit_f64() * 200.0 + 20.0
+    };
+    let (u, v) = (a - i, b - j);
+    let mix = |p: f64, q: f64, w: f64| p + w * (q - p);
+    mix(mix(at(0.0, 0.0), at(1.0, 0.0), u), mix(at(0.0, 1.0), at(1.0, 1.0), u), v)
+}
+
+/// A street between two walls, seen from `z_m` along it.
+fn street(z_m: f64) -> Vec<u8> {
+    const WALL_M: f64 = 5.0;
+    let mut pixels = Vec::with_capacity(WIDTH * HEIGHT);
+    for row in 0..HEIGHT {
+        for column in 0..WIDTH {
+            let x = (column as f64 + 0.5 - CAMERA.cx) / CAMERA.fx;
+            let y = (row as f64 + 0.5 - CAMERA.cy) / CAMERA.fy;
+            let to_wall = WALL_M / x.abs().max(1e-3);
+            let to_road = if y > 0.0 { MOUNTING.height_m / y } else { f64::INFINITY };
+            let depth = to_wall.min(to_road);
+            let grey = if depth > 80.0 {
+                128.0
+            } else if to_road < to_wall {
+                texture(1, x * depth, depth + z_m, 0.35)
+            } else {
+                texture(if x > 0.0 { 2 } else { 3 }, y * depth, depth + z_m, 0.7)
+            };
+            pixels.push(grey as u8);
+        }
+    }
+    pixels
+}
+
+/// Hands a tracker on fresh storage to `drive`.
+fn with_tracker<R>(drive: impl FnOnce(&mut Tracker<'_>) -> R) -> R {
+    let capacities = TrackerCapacities { width: WIDTH, height: HEIGHT, tracks: 512, landmarks: 2048 };
+    let n = capacities.tracks;
+    let mut pyramids = vec![vec![0; capacities.bytes_per_pyramid()]; N_PYRAMIDS];
+    let [first, second, third] = &mut pyramids[..] else { panic!("three pyramids") };
+    let point = KeyframePoint { pixel: [0.0; 2], depth_m: 0.0, relative_sigma: 0.0 };
+    let storage = TrackerStorage {
+        pyramids: [first, second, third],
+        tracks: TrackStorage {
+            tracks: &mut vec![Track::NONE; n],
+            flows: &mut vec![Flow::new([0.0; 2], [0.0; 2]); n],
+            corners: &mut vec![Corner::NONE; n],
+            distances_px: &mut vec![0.0; n],
+        },
+        landmarks: &mut vec![Landmark::default(); capacities.landmarks],
+        matches: &mut vec![Match::default(); n],
+        landmark_matches: &mut vec![LandmarkMatch::default(); n],
+        is_inlier: &mut vec![false; n],
+        landmark_of_track: &mut vec![0; n],
+        landmark_of_match: &mut vec![0; n],
+        keyframe_points: &mut vec![point; n],
+        bundle: &mut Box::new(ReducedSystem::new()),
+    };
+    let settings = TrackingSettings::STANDARD;
+    let mut tracker = Tracker::new(CAMERA, MOUNTING, settings, SimdLevel::Scalar, 1, storage).expect("enough storage");
+    drive(&mut tracker)
+}
+
+fn step(tracker: &mut Tracker<'_>, pixels: &[u8], frame: u64) -> FrameReport {
+    let image = ImageView::new(pixels, WIDTH, HEIGHT, WIDTH).expect("size");
+    let report = tracker.step(image, frame, (frame + 1) * FRAME_NS);
+    assert!(report.world_from_camera.to_homogeneous().iter().all(|v| v.is_finite()), "{report:?}");
+    report
+}
+
+#[test]
+fn a_drive_along_a_street_comes_out_in_metres() {
+    const STEP_M: f64 = 0.5;
+    const N_FRAMES: u64 = 16;
+    with_tracker(|tracker| {
+        let reports: Vec<_> = (0..N_FRAMES).map(|i| step(tracker, &street(i as f64 * STEP_M), i)).collect();
+        let n_tracked = reports.iter().filter(|r| r.status == FrameStatus::Tracked).count();
+        assert!(n_tracked >= N_FRAMES as usize - 1, "{reports:?}");
+        let end = reports.last().expect("frames").world_from_camera.translation.vector;
+        let truth = Vector3::z() * (STEP_M * (N_FRAMES - 1) as f64);
+        assert!((end - truth).norm() < 0.05 * truth.norm(), "{end}");
+        assert!(tracker.keyframe_points().len() > 30, "{}", tracker.keyframe_points().len());
+        assert_eq!(tracker.road_plane().map(|road| road.height_m), Some(MOUNTING.height_m));
+    });
+}
+
+#[test]
+fn a_standing_vehicle_stays_where_it_is_and_is_tracked() {
+    let pixels = street(0.0);
+    with_tracker(|tracker| {
+        for i in 0..5 {
+            let report = step(tracker, &pixels, i);
+            assert_eq!(report.status, FrameStatus::Tracked);
+            assert!(report.world_from_camera.translation.vector.norm() < 1e-9);
+            assert_eq!(report.is_keyframe, i == 0);
+        }
+    });
+}
+
+#[test]
+fn black_images_are_lost_and_tracking_starts_anew_behind_them() {
+    let black = vec![0; WIDTH * HEIGHT];
+    with_tracker(|tracker| {
+        assert_eq!(step(tracker, &black, 0).status, FrameStatus::Lost);
+        let first = step(tracker, &street(0.0), 1);
+        assert_eq!((first.status, first.reason), (FrameStatus::Tracked, StatusReason::FirstFrame));
+        assert_eq!(step(tracker, &black, 2).status, FrameStatus::Lost);
+        assert_eq!(step(tracker, &street(0.0), 3).reason, StatusReason::Restarted);
+        assert_eq!(step(tracker, &street(0.0), 4).status, FrameStatus::Tracked);
+    });
+}
+
+#[test]
+fn an_image_of_another_size_or_time_is_unusable_and_changes_nothing() {
+    let pixels = street(0.0);
+    with_tracker(|tracker| {
+        step(tracker, &pixels, 0);
+        let small = ImageView::new(&pixels, WIDTH / 2, HEIGHT, WIDTH).expect("size");
+        assert_eq!(tracker.step(small, 1, 2 * FRAME_NS).reason, StatusReason::Unusable);
+        let image = ImageView::new(&pixels, WIDTH, HEIGHT, WIDTH).expect("size");
+        assert_eq!(tracker.step(image, 1, FRAME_NS).reason, StatusReason::Unusable);
+        assert_eq!(step(tracker, &pixels, 2).status, FrameStatus::Tracked);
+    });
+}
