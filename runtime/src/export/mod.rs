@@ -1,15 +1,17 @@
 //! `kilogs export`: a stored map as a file that other programs open.
 
 mod decode;
+mod finest;
 mod ply;
+mod walk;
 
 use crate::map_store::{MapStoreReader, StoreError};
-use decode::{MapGaussian, decode_gaussian};
+use decode::decode_gaussian;
+use finest::Shown;
 use indicatif::{ProgressBar, ProgressStyle};
-use kilogs_core::map::GaussianParams;
-use kilogs_core::store::{PageLabel, StoredKeyframe};
 use ply::PlyWriter;
 use std::path::{Path, PathBuf};
+use walk::{PageWalk, WalkError};
 
 /// Options of `kilogs export`.
 #[derive(Debug, Clone, clap::Args)]
@@ -25,6 +27,9 @@ pub struct ExportArgs {
     /// Write an SPZ file; not available yet.
     #[arg(long, value_name = "FILE", group = "format")]
     pub spz: Option<PathBuf>,
+    /// Write the anchors of all levels on top of each other, instead of the finest at each place.
+    #[arg(long)]
+    pub all_levels: bool,
 }
 
 /// What was exported.
@@ -32,6 +37,8 @@ pub struct ExportArgs {
 pub struct ExportSummary {
     /// Gaussians in the file.
     pub gaussians: u64,
+    /// Gaussians of coarse anchors that a finer one stands in for.
+    pub coarser: u64,
     /// Gaussians left out: a number that is not finite, or a keyframe that the log lost.
     pub left_out: u64,
     /// Pages left out because they are damaged.
@@ -71,7 +78,7 @@ impl ExportError {
     }
 }
 
-/// Exports a map page by page, in the memory of one page.
+/// Exports a map page by page, in the memory of one page, one bit per anchor, and 16 MiB for comparing levels.
 ///
 /// # Errors
 /// [`ExportError`] when the map cannot be opened or the file not be written; damaged pages are left out and logged.
@@ -83,16 +90,15 @@ pub fn run(args: &ExportArgs, max_keyframes: usize) -> Result<ExportSummary, Exp
     for damage in map.damages() {
         log::warn!("{}: left out: {damage}", args.map.display());
     }
-    let bar = ProgressBar::new(2 * map.pages().len() as u64).with_style(progress_style());
-    let summary = export_ply(&map, file, &bar);
+    let bar = ProgressBar::new(0).with_style(progress_style());
+    let summary = export_ply(&map, file, args.all_levels, &bar);
     bar.finish_and_clear();
     let summary = summary?;
+    let ExportSummary { gaussians, coarser, left_out, damaged_pages } = summary;
     log::info!(
-        "{}: {} Gaussians written, {} left out, {} damaged pages",
-        file.display(),
-        summary.gaussians,
-        summary.left_out,
-        summary.damaged_pages
+        "{}: {gaussians} Gaussians written, {coarser} coarser ones and {left_out} lost ones left out, \
+         {damaged_pages} damaged pages",
+        file.display()
     );
     Ok(summary)
 }
@@ -108,88 +114,53 @@ fn progress_style() -> ProgressStyle {
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
-/// Counts what is whole (a PLY says how much it holds before it holds it), then writes it.
-fn export_ply(map: &MapStoreReader, file: &Path, bar: &ProgressBar) -> Result<ExportSummary, ExportError> {
+/// Finds out what is whole and shown (a PLY says how much it holds before it holds it), then writes it.
+fn export_ply(
+    map: &MapStoreReader,
+    file: &Path,
+    all_levels: bool,
+    bar: &ProgressBar,
+) -> Result<ExportSummary, ExportError> {
+    let in_words = |problem| match problem {
+        WalkError::Store(problem) => ExportError::Store(problem),
+        WalkError::Write(source) => ExportError::Write { path: file.to_owned(), source },
+    };
     let write_error = |source| ExportError::Write { path: file.to_owned(), source };
-    let mut summary = ExportSummary::default();
-    let mut whole_pages = Vec::with_capacity(map.pages().len());
     let mut reading = PageWalk::new(map);
-    for page in map.pages() {
-        let before = summary;
-        let walked = reading.walk(page, &mut |gaussian| {
-            match gaussian {
-                Some(_) => summary.gaussians += 1,
+    let mut summary = ExportSummary::default();
+    let mut pages = map.pages().to_vec();
+    pages.retain(|page| {
+        let verified = reading.verify(page).inspect_err(|problem| log::warn!("left out: {problem}"));
+        summary.damaged_pages += u64::from(verified.is_err());
+        verified.is_ok()
+    });
+    let n_passes = if all_levels { 2 } else { 2 + finest::n_passes(&pages) };
+    bar.set_length((n_passes * pages.len()) as u64);
+    let shown = match all_levels {
+        true => Shown::all(0),
+        false => finest::finest(&mut reading, &pages, || bar.inc(1)).map_err(in_words)?,
+    };
+    let counting = reading.walk(&pages, || bar.inc(1), &mut |walked| {
+        for params in walked.gaussians {
+            let decoded = walked.keyframe.and_then(|keyframe| decode_gaussian(keyframe, walked.anchor, params));
+            match decoded {
+                Some(_) if shown.contains(walked.anchor_idx) => summary.gaussians += 1,
+                Some(_) => summary.coarser += 1,
                 None => summary.left_out += 1,
-            }
-            Ok(())
-        });
-        match walked {
-            Ok(()) => whole_pages.push(*page),
-            Err(WalkError::Store(problem)) => {
-                log::warn!("left out: {problem}");
-                summary = ExportSummary { damaged_pages: before.damaged_pages + 1, ..before };
-            }
-            Err(WalkError::Write(source)) => return Err(write_error(source)),
-        }
-        bar.inc(1);
-    }
-    let mut ply = PlyWriter::create(file, summary.gaussians).map_err(write_error)?;
-    for page in &whole_pages {
-        let walked = reading.walk(page, &mut |gaussian| gaussian.map_or(Ok(()), |gaussian| ply.push(gaussian)));
-        match walked {
-            Ok(()) => bar.inc(1),
-            Err(WalkError::Store(problem)) => return Err(problem.into()),
-            Err(WalkError::Write(source)) => return Err(write_error(source)),
-        }
-    }
-    ply.finish().map_err(write_error)?;
-    Ok(summary)
-}
-
-enum WalkError {
-    Store(StoreError),
-    Write(std::io::Error),
-}
-
-/// Reads pages one after the other in the same memory.
-struct PageWalk<'m> {
-    map: &'m MapStoreReader,
-    buffer: Vec<u8>,
-    gaussians: Vec<GaussianParams>,
-}
-
-impl<'m> PageWalk<'m> {
-    fn new(map: &'m MapStoreReader) -> Self {
-        let unused = GaussianParams {
-            offset: [0.0; 3],
-            log_scale: [0.0; 3],
-            quaternion_xyzw: [0.0, 0.0, 0.0, 1.0],
-            opacity_logit: 0.0,
-            color_logit: [0.0; 3],
-        };
-        let gaussians = vec![unused; map.manifest().gaussians_per_anchor as usize];
-        Self { map, buffer: Vec::new(), gaussians }
-    }
-
-    /// Hands every Gaussian of a page over, in map coordinates; `None` for one that cannot be shown.
-    fn walk(
-        &mut self,
-        page: &PageLabel,
-        found: &mut dyn FnMut(Option<&MapGaussian>) -> std::io::Result<()>,
-    ) -> Result<(), WalkError> {
-        let (_, mut reader) = self.map.read_page(page.page_id, &mut self.buffer).map_err(WalkError::Store)?;
-        let mut keyframe: Option<&StoredKeyframe> = None;
-        while let Some(anchor) = reader.next_anchor(&mut self.gaussians) {
-            if keyframe.is_none_or(|known| known.keyframe_id != anchor.keyframe_id) {
-                keyframe = self.map.keyframe(anchor.keyframe_id);
-            }
-            for params in self.gaussians.iter().take(usize::from(anchor.n_gaussians)) {
-                let gaussian = keyframe.and_then(|keyframe| decode_gaussian(keyframe, &anchor, params));
-                found(gaussian.as_ref()).map_err(WalkError::Write)?;
             }
         }
         Ok(())
-    }
+    });
+    counting.map_err(in_words)?;
+    let mut ply = PlyWriter::create(file, summary.gaussians).map_err(write_error)?;
+    let writing = reading.walk(&pages, || bar.inc(1), &mut |walked| {
+        let Some(keyframe) = walked.keyframe.filter(|_| shown.contains(walked.anchor_idx)) else { return Ok(()) };
+        let decoded = |params| decode_gaussian(keyframe, walked.anchor, params);
+        walked.gaussians.iter().filter_map(decoded).try_for_each(|gaussian| ply.push(&gaussian))
+    });
+    writing.map_err(in_words)?;
+    ply.finish().map_err(write_error)?;
+    Ok(summary)
 }
 
 #[cfg(test)]

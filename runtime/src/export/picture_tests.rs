@@ -9,8 +9,9 @@ use crate::splat::{AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, Capaciti
 use crate::splat::{RenderStats, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, quaternion_xyzw};
+use kilogs_core::map::GaussianParams;
 use kilogs_core::math::Rng;
-use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, StoredAnchor};
+use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, PageLabel, StoredAnchor, StoredKeyframe};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
@@ -141,7 +142,7 @@ fn the_exported_file_drawn_by_itself_is_the_map_s_picture() {
     let scratch = tempfile::tempdir().expect("a scratch folder");
     write_turned_map(scratch.path());
     let file = scratch.path().join("street.ply");
-    let args = ExportArgs { map: scratch.path().to_owned(), ply: Some(file.clone()), spz: None };
+    let args = ExportArgs { map: scratch.path().to_owned(), ply: Some(file.clone()), spz: None, all_levels: false };
     let summary = run(&args, 10).expect("exported");
     assert_eq!(summary.gaussians, u64::from(N_KEYFRAMES) * ANCHORS_PER_KEYFRAME as u64 * 2);
 

@@ -4,7 +4,8 @@ use super::*;
 use crate::map_store::{MapStoreWriter, StoreCapacity, StoreSettings, WhenBusy};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::frame::PixelFormat;
-use kilogs_core::store::{MAX_LEVELS, Manifest, StoredAnchor};
+use kilogs_core::map::GaussianParams;
+use kilogs_core::store::{MAX_LEVELS, Manifest, PageLabel, StoredAnchor, StoredKeyframe};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
 
@@ -14,7 +15,7 @@ const HEADER: &str = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n\
     property float scale_0\nproperty float scale_1\nproperty float scale_2\n\
     property float rot_0\nproperty float rot_1\nproperty float rot_2\nproperty float rot_3\nend_header\n";
 
-fn gaussian(opacity_logit: f32) -> GaussianParams {
+pub(super) fn gaussian(opacity_logit: f32) -> GaussianParams {
     GaussianParams {
         offset: [0.0; 3],
         log_scale: [-2.0; 3],
@@ -80,7 +81,7 @@ fn write_map(folder: &Path) {
 }
 
 fn export(map: &Path, file: &Path) -> Result<ExportSummary, ExportError> {
-    let args = ExportArgs { map: map.to_owned(), ply: Some(file.to_owned()), spz: None };
+    let args = ExportArgs { map: map.to_owned(), ply: Some(file.to_owned()), spz: None, all_levels: false };
     run(&args, 10)
 }
 
@@ -97,7 +98,7 @@ fn an_independent_reader_finds_what_the_map_holds() {
     let file = scratch.path().join("street.ply");
     // The run's folder is as good as the map's.
     let summary = export(scratch.path(), &file).expect("exported");
-    assert_eq!(summary, ExportSummary { gaussians: 3, left_out: 1, damaged_pages: 1 });
+    assert_eq!(summary, ExportSummary { gaussians: 3, coarser: 0, left_out: 1, damaged_pages: 1 });
 
     let bytes = std::fs::read(&file).expect("read");
     let header = HEADER.replace("vertex 4", "vertex 3");
@@ -136,7 +137,8 @@ fn nothing_half_written_is_left_behind() {
 #[test]
 fn spz_and_a_missing_map_are_refused_with_their_exit_codes() {
     let scratch = tempfile::tempdir().expect("a scratch folder");
-    let args = ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(PathBuf::from("a.spz")) };
+    let args =
+        ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(PathBuf::from("a.spz")), all_levels: false };
     let error = run(&args, 10).expect_err("not available");
     assert!(error.code() == 2 && error.to_string().contains("--ply"), "{error}");
     let error = export(scratch.path(), &scratch.path().join("a.ply")).expect_err("no map");
