@@ -1,0 +1,96 @@
+//! Where samples fall, and where they do not.
+
+use super::*;
+use std::vec;
+use std::vec::Vec;
+
+const SIZE: MapImageSize = MapImageSize { width: 60, height: 40 };
+
+/// A dark image with one speckled square, 10 px wide, at (20, 10).
+fn square() -> Vec<f32> {
+    let mut rng = Rng::new(4, 5, 6);
+    (0..SIZE.n_pixels())
+        .map(|i| (i % SIZE.width, i / SIZE.width, rng.unit_f32()))
+        .map(|(x, y, luck)| if (20..30).contains(&x) && (10..20).contains(&y) { 0.2 + 0.8 * luck } else { 0.1 })
+        .collect()
+}
+
+fn structure(luma: &[f32]) -> Vec<f32> {
+    let (mut scratch, mut out) = (vec![0.0; luma.len()], vec![0.0; luma.len()]);
+    difference_of_gaussians(luma, SIZE, [1.0, 1.6], &mut scratch, &mut out);
+    out
+}
+
+fn drawn(seen: &[f32], rendered: &[f32], transmittance: f32, confidence: &[f32]) -> Vec<InsertionSample> {
+    let n = SIZE.n_pixels();
+    let (structure, rendered_structure) = (structure(seen), structure(rendered));
+    let images = InsertionImages {
+        size: SIZE,
+        structure: &structure,
+        depth_edges: &vec![0.0; n],
+        rendered_structure: &rendered_structure,
+        rendered_depth_edges: &vec![0.0; n],
+        transmittance: &vec![transmittance; n],
+        error: &vec![0.0; n],
+        confidence,
+    };
+    let mut samples = vec![InsertionSample::default(); n];
+    let scratch = SamplingScratch { probability: &mut vec![0.0; n], kept: &mut vec![0; n] };
+    let settings = InsertionSettings { bare_probability: 0.2, error_weight: 0.0, ..InsertionSettings::MEASURED };
+    let found = sample(&images, &settings, &mut Rng::new(1, 2, 3), scratch, &mut samples);
+    samples.truncate(found.n_samples);
+    samples
+}
+
+#[test]
+fn structure_is_zero_on_a_plain_image_up_to_its_borders_and_large_at_an_edge() {
+    assert!(structure(&vec![0.7; SIZE.n_pixels()]).iter().all(|v| v.abs() < 1e-6));
+    let found = structure(&square());
+    let largest = found.iter().copied().fold(0.0, f32::max);
+    assert!(largest > 0.05 && found[15 * SIZE.width + 45] < 1e-4, "{largest}");
+}
+
+#[test]
+fn a_map_that_shows_the_image_asks_for_nothing_and_an_empty_one_for_the_edges() {
+    let (image, sure) = (square(), vec![1.0; SIZE.n_pixels()]);
+    assert_eq!(drawn(&image, &image, 0.0, &sure), []);
+    let edges = drawn(&image, &vec![0.1; SIZE.n_pixels()], 0.0, &sure);
+    assert!(edges.len() > 4, "{} samples", edges.len());
+    assert!(edges.iter().all(|s| (15..35).contains(&s.x) && (5..25).contains(&s.y)), "{edges:?}");
+}
+
+#[test]
+fn bare_pixels_are_covered_evenly_and_more_widely_than_texture() {
+    let (image, sure) = (square(), vec![1.0; SIZE.n_pixels()]);
+    let all = drawn(&image, &vec![0.1; SIZE.n_pixels()], 1.0, &sure);
+    let mean_sigma = |inside: bool| {
+        let near = |s: &&InsertionSample| ((18..32).contains(&s.x) && (8..22).contains(&s.y)) == inside;
+        let sigmas: Vec<f32> = all.iter().filter(near).map(|s| s.sigma_px).collect();
+        (sigmas.len(), sigmas.iter().sum::<f32>() / sigmas.len() as f32)
+    };
+    let ((n_texture, texture_px), (n_flat, flat_px)) = (mean_sigma(true), mean_sigma(false));
+    assert!(n_texture > 5 && n_flat > 20, "{n_texture} and {n_flat} samples");
+    assert!(flat_px > 1.2 * texture_px, "{flat_px} px against {texture_px} px");
+}
+
+#[test]
+fn a_pixel_without_confidence_is_never_sampled() {
+    let doubtful_left: Vec<f32> = (0..SIZE.n_pixels()).map(|i| f32::from(i % SIZE.width >= 30)).collect();
+    let found = drawn(&square(), &vec![0.1; SIZE.n_pixels()], 1.0, &doubtful_left);
+    assert!(!found.is_empty() && found.iter().all(|s| s.x >= 30));
+}
+
+#[test]
+fn depth_edges_are_where_the_depth_jumps_and_nowhere_without_depth() {
+    let inverse_depth: Vec<f32> = (0..SIZE.n_pixels())
+        .map(|i| match i % SIZE.width {
+            0..20 => 0.1,
+            20..40 => 0.05,
+            _ => 0.0,
+        })
+        .collect();
+    let mut edges = vec![9.0; SIZE.n_pixels()];
+    depth_edges(&inverse_depth, SIZE, &mut edges);
+    let row = &edges[10 * SIZE.width..11 * SIZE.width];
+    assert!(row[20] == 1.0 && row[10] == 0.0 && row[40] == 0.0 && row[50] == 0.0, "{row:?}");
+}
