@@ -20,7 +20,7 @@ pub enum RunError {
     /// The camera, the recording or another input.
     #[error("{0}")]
     Input(String),
-    /// The capture process, which knows its own exit code.
+    /// The capture process or its recording, which know their own exit code.
     #[error("{text}")]
     Camera {
         /// Its exit code.
@@ -61,6 +61,12 @@ impl RunError {
             Self::Render(error) => error.code(),
             Self::Export(error) => error.code(),
         }
+    }
+}
+
+impl From<kilogs_camera::cli::CameraError> for RunError {
+    fn from(error: kilogs_camera::cli::CameraError) -> Self {
+        Self::Camera { code: error.exit_code(), text: error.to_string() }
     }
 }
 

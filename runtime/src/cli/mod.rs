@@ -86,11 +86,7 @@ pub fn main() -> Result<(), RunError> {
             crate::doctor::run(&command.args, settings.mapping.mapper.resolution)
                 .map_err(|e| RunError::Run(e.to_string()))
         }
-        Command::Camera(args) => {
-            let failed =
-                |e: kilogs_camera::cli::CameraError| RunError::Camera { code: e.exit_code(), text: e.to_string() };
-            kilogs_camera::cli::run(args).map_err(failed)
-        }
+        Command::Camera(args) => Ok(kilogs_camera::cli::run(args)?),
     }
 }
 

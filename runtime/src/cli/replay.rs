@@ -4,6 +4,7 @@ use super::CommonArgs;
 use crate::input::CameraChild;
 use crate::pipeline::{self, Pace, RunPlan};
 use crate::run_error::RunError;
+use kilogs_camera::cli::{CameraError, parse_rate};
 use std::path::PathBuf;
 
 /// Mapping iterations per keyframe in lock-step, unless told otherwise.
@@ -29,7 +30,7 @@ pub struct ReplayArgs {
     #[arg(long, conflicts_with_all = ["deterministic", "iterations"])]
     pub live: bool,
     /// With --live: this many times the recorded speed.
-    #[arg(long, default_value_t = 1.0, requires = "live", value_name = "R")]
+    #[arg(long, default_value_t = 1.0, requires = "live", value_name = "R", value_parser = parse_rate)]
     pub rate: f64,
     /// Lock-step: every frame is processed, with a fixed number of mapping iterations per keyframe. The default.
     #[arg(long)]
@@ -44,7 +45,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "N")]
     pub frames: Option<u64>,
     /// Play this many one-way passes, to and fro, with ten standing frames at each turn.
-    #[arg(long, default_value_t = 1, value_name = "N")]
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub ping_pong: u64,
     /// What all tracking commands share.
     #[command(flatten)]
@@ -57,7 +58,7 @@ pub struct ReplayArgs {
 /// [`RunError`].
 pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let description = kilogs_camera::source::describe(&args.dataset, args.camera.as_deref(), args.fps)
-        .map_err(|e| RunError::Input(e.to_string()))?;
+        .map_err(|e| RunError::from(CameraError::from(e)))?;
     let pace = if args.live { Pace::Live } else { Pace::LockStep { iterations: args.iterations } };
     let mut plan = RunPlan::new(&args.common, description.format, pace, &args.out)?;
     plan.may_reverse = args.ping_pong > 1;

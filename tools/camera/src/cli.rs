@@ -293,7 +293,11 @@ fn progress_bar(n_frames: Option<u64>, is_quiet: bool) -> ProgressBar {
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, String> {
+/// A playback rate as typed.
+///
+/// # Errors
+/// What to type instead.
+pub fn parse_rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(rate) if rate.is_finite() && rate > 0.0 => Ok(rate),
         _ => Err("give a number above 0, for example 2".to_owned()),
