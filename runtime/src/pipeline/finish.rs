@@ -82,7 +82,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
             "late: {n_keyframes_dropped} keyframes came while the mapper was busy, {n_left_out} images while the disk was"
         );
     }
-    told.camera_failure.map_or(Ok(()), |failure| Err(RunError::Input(failure)))
+    told.camera_failure.map_or(Ok(()), Err)
 }
 
 fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError> {

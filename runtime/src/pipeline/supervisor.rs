@@ -27,6 +27,9 @@ const TRACE_VARIABLE: &str = "KILOGS_SEAL_TRACE";
 /// How long the thread waits for records before it looks after everything else.
 const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 
+/// Exit code after a camera process that ended by a signal.
+const RUN_FAILED: u8 = 1;
+
 /// How long the camera child may take to end by itself.
 const END_PATIENCE: Duration = Duration::from_secs(2);
 
@@ -46,9 +49,9 @@ pub fn supervise(
     }
     let folder = OutputFolder::create(&plan.out)?;
     let usage = Arc::new(Usage::default());
-    let stop = Arc::new(AtomicBool::new(false));
-    let stop_on_signal = Arc::clone(&stop);
-    ctrlc::set_handler(move || stop_on_signal.store(true, Ordering::Relaxed))
+    let (stop, is_interrupted) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let on_signal = [Arc::clone(&is_interrupted), Arc::clone(&stop)];
+    ctrlc::set_handler(move || on_signal.iter().for_each(|flag| flag.store(true, Ordering::Relaxed)))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
 
     if log::log_enabled!(log::Level::Debug) {
@@ -67,6 +70,7 @@ pub fn supervise(
     let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, stop: &stop };
 
     let (told, tracked, mapped) = std::thread::scope(|scope| {
+        let _ending = StopWhenDropped(&stop);
         let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
         let tracking = thread("tracking").spawn_scoped(scope, move || tracking.run(input)).map_err(spawn_failed)?;
         let mapping = mapping_work
@@ -75,9 +79,9 @@ pub fn supervise(
             .map_err(spawn_failed)?;
         let publishing =
             thread("odometry").spawn_scoped(scope, move || odometry::publish(&poses)).map_err(spawn_failed)?;
-        let child = start_camera().inspect_err(|_| stop.store(true, Ordering::Relaxed));
-        let child = child.map_err(|e| RunError::Input(e.to_string()))?;
-        let shared = Shared { plan, stop: &stop, usage: &usage, progress: &progress, started };
+        let child = start_camera().map_err(|e| RunError::Input(e.to_string()))?;
+        let is_interrupted = is_interrupted.as_ref();
+        let shared = Shared { plan, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
         let told = Supervisor::new(&shared, folder, child)?.run(&incoming);
         if told.is_err() {
             stop.store(true, Ordering::Relaxed);
@@ -90,6 +94,15 @@ pub fn supervise(
     tracked?;
     let mapping: Option<MappingSummary> = mapped.transpose()?;
     finish::conclude(plan, &usage, Concluded { told, mapping, started })
+}
+
+/// The scope waits for its threads whichever way it is left: they have to be told that it is over.
+struct StopWhenDropped<'run>(&'run AtomicBool);
+
+impl Drop for StopWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 fn thread(name: &str) -> std::thread::Builder {
@@ -111,7 +124,7 @@ pub struct Told {
     /// Resident sizes.
     pub watch: MemoryWatch,
     /// Why the camera process failed, if it did.
-    pub camera_failure: Option<String>,
+    pub camera_failure: Option<RunError>,
 }
 
 /// What all threads of a run see.
@@ -119,6 +132,7 @@ pub struct Told {
 struct Shared<'run> {
     plan: &'run RunPlan,
     stop: &'run AtomicBool,
+    is_interrupted: &'run AtomicBool,
     usage: &'run Usage,
     progress: &'run MappingProgress,
     started: Instant,
@@ -129,6 +143,7 @@ struct Supervisor<'run> {
     folder: OutputFolder,
     child: Option<CameraChild>,
     stop: &'run AtomicBool,
+    is_interrupted: &'run AtomicBool,
     tally: Tally,
     watch: MemoryWatch,
     health: HealthPublisher,
@@ -145,7 +160,7 @@ struct Supervisor<'run> {
 
 impl<'run> Supervisor<'run> {
     fn new(shared: &Shared<'run>, folder: OutputFolder, child: Option<CameraChild>) -> Result<Self, RunError> {
-        let Shared { plan, stop, usage, progress, started } = *shared;
+        let Shared { plan, stop, is_interrupted, usage, progress, started } = *shared;
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
@@ -155,6 +170,7 @@ impl<'run> Supervisor<'run> {
             folder,
             child,
             stop,
+            is_interrupted,
             tally,
             watch,
             health,
@@ -188,7 +204,9 @@ impl<'run> Supervisor<'run> {
         }
         self.watch.read();
         self.bar.finish_and_clear();
-        let camera_failure = self.child.as_mut().and_then(camera_failure);
+        // A camera that was left alone by Ctrl-C has done nothing wrong.
+        let is_interrupted = self.is_interrupted.load(Ordering::Relaxed);
+        let camera_failure = self.child.as_mut().and_then(camera_failure).filter(|_| !is_interrupted);
         Ok(Told { folder: self.folder, tally: self.tally, watch: self.watch, camera_failure })
     }
 
@@ -296,10 +314,14 @@ impl<'run> Supervisor<'run> {
 }
 
 /// Why the camera child failed; it has ended or is about to.
-fn camera_failure(child: &mut CameraChild) -> Option<String> {
+fn camera_failure(child: &mut CameraChild) -> Option<RunError> {
     match child.wait(END_PATIENCE) {
         Some(status) if status.success() => None,
-        Some(status) => Some(format!("the camera process failed ({status}); its message stands above")),
+        Some(status) => {
+            let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(RUN_FAILED);
+            let text = format!("the camera process failed ({status}); what it said stands above");
+            Some(RunError::Camera { code, text })
+        }
         // It is still there because the run was stopped, not because of a fault of its own.
         None => None,
     }
