@@ -16,6 +16,7 @@ use zerocopy::IntoBytes;
 
 use super::camera_link::CameraLink;
 use super::{BorrowedFrame, CameraState, InputCounts, InputError};
+use crate::seal;
 
 /// A waiting input looks at least this often whether the camera is there, should an event have been lost.
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
@@ -278,6 +279,8 @@ impl FrameInput {
     }
 
     fn is_alive(&self, camera: UniquePublisherId) -> bool {
+        // The list takes memory; it is asked for only when a camera process came or went.
+        let _lifted = seal::lift();
         let mut is_alive = false;
         self.frames.dynamic_config().list_publishers(|details| {
             is_alive |= details.publisher_id == camera;

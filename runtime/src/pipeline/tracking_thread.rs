@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// How long the thread waits before it looks whether it was told to stop.
 const LOOK_INTERVAL: Duration = Duration::from_millis(100);
-/// Frames after which nothing is set up any more and the thread is sealed.
+/// Frames of a camera process after which nothing is set up any more and the thread is sealed.
 const WARM_UP_FRAMES: u64 = 3;
 
 /// Everything that the thread owns.
@@ -40,7 +40,8 @@ struct State {
     gray: Vec<u8>,
     held_out: HeldOutRule,
     n_keyframes: u32,
-    n_frames: u64,
+    /// Frames of the camera process that sends at present.
+    n_frames_of_camera: u64,
     first_index: u64,
     next_index: u64,
 }
@@ -56,14 +57,14 @@ impl TrackingThread<'_> {
             gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
             held_out: HeldOutRule::default(),
             n_keyframes: 0,
-            n_frames: 0,
+            n_frames_of_camera: 0,
             first_index: 0,
             next_index: 0,
         };
         let mut sealed = None;
         let mut waiting_since = Instant::now();
         while !self.stop.load(Ordering::Relaxed) {
-            if sealed.is_none() && state.n_frames >= WARM_UP_FRAMES {
+            if sealed.is_none() && state.n_frames_of_camera >= WARM_UP_FRAMES {
                 sealed = Some(seal::enter());
             }
             match input.wait(LOOK_INTERVAL).map_err(failed)? {
@@ -78,7 +79,11 @@ impl TrackingThread<'_> {
                     state.first_index = state.next_index;
                     self.tell(Record::CameraCame { is_first });
                 }
-                InputEvent::CameraGone { silent_for } => self.tell(Record::CameraGone { silent_for }),
+                InputEvent::CameraGone { silent_for } => {
+                    // Meeting the next process takes memory, as meeting the first did.
+                    (sealed, state.n_frames_of_camera) = (None, 0);
+                    self.tell(Record::CameraGone { silent_for });
+                }
                 InputEvent::Timeout(_) => self.tell(Record::CameraSilent),
                 InputEvent::End => break,
             }
@@ -100,7 +105,7 @@ impl TrackingThread<'_> {
         times.add(Stage::Input, milliseconds(waited));
         let frame_index = state.first_index + frame.header().sequence;
         state.next_index = frame_index + 1;
-        state.n_frames += 1;
+        state.n_frames_of_camera += 1;
         let started = Instant::now();
         let Some(image) = gray_view(frame, &mut state.gray) else { return };
         let report = self.tracker.step(image, frame_index, frame.timestamp_ns());
