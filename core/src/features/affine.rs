@@ -4,8 +4,9 @@
 //! settles beside the point. Here it may also be deformed linearly.
 
 use super::lanes::{Kernel, KernelTask, SimdLevel};
+use super::resample::sample;
 use crate::frame::Pyramid;
-use crate::frame::pyramid::{MARGIN_PX, PaddedImage};
+use crate::frame::pyramid::PaddedImage;
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
 /// Constants of the refinement.
@@ -209,16 +210,7 @@ impl Window {
                 }
             }
         }
-        // Moments 1, x, y, xx, xy, yy of each product.
-        let [xx, xy, yy] = columns.map(|[m0, m1, m2]| {
-            let [mut x, mut x2, mut xy] = [[0.0f32; LANES]; 3];
-            for i in 0..LANES {
-                x[i] = m0[i] * OFFSETS[i];
-                x2[i] = x[i] * OFFSETS[i];
-                xy[i] = m1[i] * OFFSETS[i];
-            }
-            [m0, x, m1, x2, xy, m2].map(|lanes| total(&lanes))
-        });
+        let (xx, xy, yy) = (moments(&columns[0]), moments(&columns[1]), moments(&columns[2]));
         let block = |m: [f32; 6]| {
             let [one, x, y, x2, xy, y2] = m;
             [[one, x, y], [x, x2, xy], [y, xy, y2]]
@@ -236,6 +228,18 @@ impl Window {
             products[basis[row]][basis[column]]
         })
     }
+}
+
+/// Moments 1, x, y, xx, xy, yy of a product from its moments of order 0, 1 and 2 in y per column.
+#[inline(always)]
+fn moments([one, y, y2]: &[Lane; 3]) -> [f32; 6] {
+    let [mut x, mut x2, mut xy] = [[0.0f32; LANES]; 3];
+    for i in 0..LANES {
+        x[i] = one[i] * OFFSETS[i];
+        x2[i] = x[i] * OFFSETS[i];
+        xy[i] = y[i] * OFFSETS[i];
+    }
+    [total(one), total(&x), total(y), total(&x2), total(&xy), total(y2)]
 }
 
 /// Gauss-Newton steps for one window.
@@ -308,8 +312,8 @@ fn descent(window: &Window, values: &Plane, contrast: f32) -> Vector6<f32> {
         ex_x[i] = sums[0][i] * OFFSETS[i];
         ey_x[i] = sums[1][i] * OFFSETS[i];
     }
-    let [ex, ey, ex_y, ey_y] = sums.map(|lanes| total(&lanes));
-    Vector6::new(ex, ey, total(&ex_x), ex_y, total(&ey_x), ey_y)
+    let [ex, ey, ex_y, ey_y] = &sums;
+    Vector6::new(total(ex), total(ey), total(&ex_x), total(ex_y), total(&ey_x), total(ey_y))
 }
 
 /// Inverse of the matrix with a prior on the change of shape. Not inlined into SIMD code: its roots would stall it.
@@ -348,49 +352,6 @@ fn is_plausible(placement: &Placement, max_stretch: f32) -> bool {
     let norm2 = a * a + b * b + c * c + d * d;
     let largest2 = max_stretch * max_stretch;
     determinant > 0.0 && norm2 <= largest2 + 1.0 && determinant * determinant * largest2 >= 1.0 / largest2
-}
-
-/// Interpolates bilinearly at `center + shape * w`; the grid is centred on the window, whose first [`WINDOW`] (or as
-/// many as there are rows) columns are filled. `None` when a corner lies outside image and margin.
-#[inline(always)]
-fn sample<const COLUMNS: usize, const ROWS: usize>(
-    level: &PaddedImage<'_>,
-    placement: &Placement,
-    values: &mut [[f32; COLUMNS]; ROWS],
-) -> Option<()> {
-    let half = (ROWS / 2) as f32;
-    let [[a, b], [c, d]] = placement.shape;
-    // Coordinates in the stored level, whose first byte is the centre of pixel (-margin, -margin).
-    let to_stored = MARGIN_PX as f32 - 0.5;
-    let [cx, cy] = placement.center_px.map(|coordinate| coordinate + to_stored);
-    let reach_x = half * (a.abs() + b.abs());
-    let reach_y = half * (c.abs() + d.abs());
-    let last_x = (level.width() + 2 * MARGIN_PX - 2) as f32;
-    let last_y = (level.height() + 2 * MARGIN_PX - 2) as f32;
-    // Written so that it is false for coordinates that are no numbers.
-    if !(cx - reach_x >= 0.0 && cy - reach_y >= 0.0 && cx + reach_x < last_x && cy + reach_y < last_y) {
-        return None;
-    }
-    let margin = MARGIN_PX as i32;
-    let bytes = level.from_pixel(-margin, -margin)?;
-    let stride = level.stride();
-    for (r, row) in values.iter_mut().enumerate() {
-        let wy = r as f32 - half;
-        for (i, value) in row.iter_mut().enumerate().take(ROWS) {
-            let wx = i as f32 - half;
-            let (x, y) = ((cx + (a * wx + b * wy)).max(0.0), (cy + (c * wx + d * wy)).max(0.0));
-            let (left, top) = (x as usize, y as usize);
-            let (fx, fy) = (x - left as f32, y - top as f32);
-            let start = top * stride + left;
-            let above: [u8; 2] = *bytes.get(start..)?.first_chunk()?;
-            let below: [u8; 2] = *bytes.get(start + stride..)?.first_chunk()?;
-            let [p00, p01] = above.map(f32::from);
-            let [p10, p11] = below.map(f32::from);
-            let (upper, lower) = (p00 + fx * (p01 - p00), p10 + fx * (p11 - p10));
-            *value = upper + fy * (lower - upper);
-        }
-    }
-    Some(())
 }
 
 /// Subtracts the mean from the lanes of the window; returns the sum of squares that is left.

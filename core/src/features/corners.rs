@@ -266,13 +266,13 @@ fn product_row(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> P
         products[1][i] = gx * gy;
         products[2][i] = gy * gy;
     }
-    products.map(|row| {
-        let mut sums = [0i32; LANES];
+    let mut sums = [[0i32; LANES]; 3];
+    for (sums, row) in sums.iter_mut().zip(&products) {
         for i in BLOCK / 2..LANES - BLOCK / 2 {
             sums[i] = row[i - 2] + row[i - 1] + row[i] + row[i + 1] + row[i + 2];
         }
-        sums
-    })
+    }
+    sums
 }
 
 /// `λ1 λ2 / (λ1 + λ2)` of the summed products; 0 where there is no gradient.

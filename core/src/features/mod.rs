@@ -4,6 +4,7 @@ pub mod affine;
 pub mod corners;
 mod lanes;
 pub mod lk;
+mod resample;
 pub mod tracks;
 mod window;
 
