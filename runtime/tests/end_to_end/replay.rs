@@ -46,7 +46,7 @@ fn a_replay_writes_every_file_and_the_same_bytes_again() {
     kilogs_succeeds(["render", &map, "--trajectory", &tum, "--out", &word(&views)]);
     let report = json(&outs[0].join("report.json"));
     assert_eq!(files(&views).len() as u64, count(&report, "/frames/keyframes"));
-    kilogs_succeeds(["export", &map, "--ply", &word(&ply)]);
+    kilogs_succeeds(["export", &map, "--ply", &word(&ply), "--all-levels"]);
     let header = format!("element vertex {}", count(&report, "/mapping/gaussians"));
     let bytes = std::fs::read(&ply).expect("the export");
     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).into_owned();
