@@ -204,6 +204,11 @@ impl Mapper {
         self.counters
     }
 
+    /// Sizes fixed at construction.
+    pub fn capacity(&self) -> &MapperCapacity {
+        &self.capacity
+    }
+
     /// Anchors that live now.
     pub fn n_resident_anchors(&self) -> u32 {
         self.pool.n_live()

@@ -13,8 +13,12 @@ pub struct OptimizeReport {
     pub n_refused: u32,
     /// PSNR of the views before their steps, mean over the steps at mapping resolution, dB.
     pub mean_psnr_db: f32,
-    /// Gaussians in view in the last step.
-    pub visible: u32,
+    /// Most Gaussians in view in one step.
+    pub visible_peak: u32,
+    /// Most entries of the lists of tile rows in one step.
+    pub row_entries_peak: u32,
+    /// Most Gaussian-tile pairs in one step.
+    pub pairs_peak: u32,
     /// Gaussian-tile pairs that did not fit, summed over the steps.
     pub pairs_refused: u64,
 }
@@ -58,7 +62,9 @@ impl Mapper {
                 continue;
             }
             report.n_iterations += 1;
-            report.visible = step.stats.visible;
+            report.visible_peak = report.visible_peak.max(step.stats.visible);
+            report.row_entries_peak = report.row_entries_peak.max(step.stats.row_entries);
+            report.pairs_peak = report.pairs_peak.max(step.stats.pairs);
             report.pairs_refused += u64::from(step.stats.overflow.pairs);
             psnr_sum_db += -10.0 * step.loss.mse.max(1e-10).log10();
         }

@@ -7,7 +7,7 @@ use super::tracking_thread::milliseconds;
 use crate::budget::{Row, Usage};
 use crate::input::BorrowedFrame;
 use crate::map_store::{MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
-use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
+use crate::mapping::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Mapper, MappingImage};
 use crate::output::{STAGES, Stage, StageTimes};
 use crate::run_error::RunError;
 use crate::seal;
@@ -264,13 +264,16 @@ impl MappingWork {
             points: &job.points,
             road: job.road,
         };
-        if let Err(refused) = self.mapper.insert_keyframe(&packet, &mut &self.store) {
-            log::debug!("{refused}");
-            self.n_keyframes_refused += 1;
-            return false;
-        }
+        let inserted = match self.mapper.insert_keyframe(&packet, &mut &self.store) {
+            Ok(inserted) => inserted,
+            Err(refused) => {
+                log::debug!("{refused}");
+                self.n_keyframes_refused += 1;
+                return false;
+            }
+        };
         job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
-        self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
+        self.observe(&inserted, report.keyframe_ordinal);
         self.progress.anchors_resident.store(u64::from(self.mapper.n_resident_anchors()), Ordering::Relaxed);
         if let Pace::LockStep { iterations } = self.pace {
             let started = Instant::now();
@@ -280,9 +283,41 @@ impl MappingWork {
         true
     }
 
+    /// Notes how full the map's containers are after a keyframe.
+    fn observe(&self, inserted: &InsertReport, ordinal: u32) {
+        let n_anchors = self.mapper.n_resident_anchors() as usize;
+        let n_keyframes = self.mapper.counters().keyframes as usize;
+        self.usage.observe(Row::MapAnchors, n_anchors);
+        // Every anchor has one voxel.
+        self.usage.observe(Row::MapVoxels, n_anchors);
+        self.usage.observe(Row::MapNewAnchors, inserted.n_anchors as usize);
+        for (row, n) in [
+            (Row::MapKeyframeImages, n_keyframes),
+            (Row::MapKeyframes, ordinal as usize + 1),
+            (Row::MapChunks, (ordinal / CHUNK_KEYFRAMES) as usize + 1),
+        ] {
+            // These overwrite their oldest when they are full.
+            self.usage.observe(row, n.min(self.capacity_of(row)));
+        }
+    }
+
+    fn capacity_of(&self, row: Row) -> usize {
+        match row {
+            Row::MapKeyframeImages => self.mapper.capacity().images,
+            Row::MapKeyframes => self.mapper.capacity().keyframe_rows,
+            _ => self.mapper.capacity().chunk_rows,
+        }
+    }
+
     fn train(&mut self, n_iterations: u32) {
         let started = Instant::now();
-        self.mapper.optimize(n_iterations);
+        let steps = self.mapper.optimize(n_iterations);
+        self.usage.observe(Row::SplatVisibleGaussians, steps.visible_peak as usize);
+        self.usage.observe(Row::SplatRowEntries, steps.row_entries_peak as usize);
+        self.usage.observe(Row::SplatPairs, steps.pairs_peak as usize);
+        if steps.pairs_refused > 0 {
+            self.usage.refuse(Row::SplatPairs, steps.pairs_refused as usize);
+        }
         self.progress.iterations.fetch_add(u64::from(n_iterations), Ordering::Relaxed);
         self.training += started.elapsed();
     }

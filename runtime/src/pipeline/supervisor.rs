@@ -54,9 +54,6 @@ pub fn supervise(
     ctrlc::set_handler(move || on_signal.iter().for_each(|flag| flag.store(true, Ordering::Relaxed)))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
 
-    if log::log_enabled!(log::Level::Debug) {
-        seal::trace_next_violation();
-    }
     let (records, incoming) = queue::queue(plan.budget.capacity(Row::TelemetryFrameRecords));
     let tracker = memory::tracker(plan)?;
     let progress = Arc::new(MappingProgress::default());
@@ -215,6 +212,7 @@ impl<'run> Supervisor<'run> {
             Record::Frame { report, times } => {
                 self.missing_until(report.frame_index)?;
                 self.next_index = report.frame_index + 1;
+                self.usage.observe(Row::TrackingTracks, report.n_tracks as usize);
                 self.folder.frame(report, times)?;
                 self.tally.frame(report, times, self.watch.own().rss_bytes);
                 self.bar.set_position(self.next_index);
