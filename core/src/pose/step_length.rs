@@ -27,7 +27,7 @@ const NEGLIGIBLE_RATIO: f64 = 1e-6;
 /// O(n * 20).
 ///
 /// # Source
-/// Own derivation: the one-parameter case of [`refine_pose`](super::refine_pose).
+/// Own derivation: the one-parameter case of [`refine_pose`](super::refine_pose()).
 pub fn fit_step_length(
     matches: &[LandmarkMatch],
     second_from_first: &RelativePose,
