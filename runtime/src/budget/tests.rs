@@ -119,15 +119,15 @@ fn what_cannot_be_meant_is_refused_with_file_row_and_fix() {
     check(edited("[total]", "[totals]"), &["[totals]", "unknown section"]);
     check(edited("[total]", "[total"), &["not valid TOML"]);
     check(
-        with_line("[ipc.frame_slots]", "capacity", "capacity = 8"),
-        &["[ipc.frame_slots]", "evenly", "odd number such as 9"],
+        with_line("[ipc.frame_slots]", "capacity", "capacity = 10"),
+        &["[ipc.frame_slots]", "evenly", "odd number such as 11"],
     );
     check(
         with_line("[map.voxels]", "capacity", "capacity = 70000"),
         &["[map.voxels]", "too small for [map.anchors]", "three quarters"],
     );
     check(
-        with_line("[map.new_anchors]", "capacity", "capacity = 100000"),
+        with_line("[map.new_anchors]", "capacity", "capacity = 200000"),
         &["[map.anchors]", "too small for [map.new_anchors]"],
     );
     check(

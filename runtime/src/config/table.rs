@@ -119,7 +119,6 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.road_min_flow_px", Range::closed(1.0, 50.0), tracking.tracker.road.min_flow_px),
     number!("tracking.scale_first_sigma", Range::closed(0.1, 3.0), tracking.tracker.scale.first_sigma),
     number!("tracking.scale_drift_per_sqrt_m", Range::closed(0.0001, 0.05), tracking.tracker.scale.drift_per_sqrt_m),
-    number!("tracking.scale_measurement_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.measurement_sigma),
     number!(
         "tracking.scale_drift_rate_sigma_per_m",
         Range::closed(0.0, 0.01),
@@ -130,6 +129,7 @@ pub(super) const SETTINGS: &[Setting] = &[
         Range::closed(0.0, 0.001),
         tracking.tracker.scale.drift_rate_change_per_m
     ),
+    number!("tracking.scale_measurement_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.measurement_sigma),
     number!("tracking.scale_correlation_m", Range::closed(0.0, 100.0), tracking.tracker.scale.correlation_m),
     number!("tracking.scale_early_sigma", Range::closed(0.0, 1.0), tracking.tracker.scale.early_sigma),
     number!("tracking.scale_kernel_sigmas", Range::closed(1.0, 5.0), tracking.tracker.scale.kernel_sigmas),

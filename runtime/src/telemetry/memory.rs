@@ -135,7 +135,9 @@ mod tests {
         let during = process_memory(None).expect("a /proc");
         assert!(during.rss_bytes >= before.rss_bytes + BLOCK / 2, "{before:?} {during:?}");
         drop(block);
-        assert!(process_memory(None).expect("a /proc").peak_bytes >= during.rss_bytes);
+        // The kernel adds up its counts per thread now and then: the two figures may be of different moments.
+        const LAG: u64 = 4 << 20;
+        assert!(process_memory(None).expect("a /proc").peak_bytes + LAG >= during.rss_bytes);
 
         let mut child = std::process::Command::new("sleep").arg("5").spawn().expect("sleep");
         let mut watch = MemoryWatch::new(Some(child.id()));
