@@ -1,8 +1,8 @@
 //! From posed keyframes to a map of Gaussians: insertion, optimisation, pages that leave.
 //!
 //! The [`Mapper`] allocates at construction and never again. It holds the anchors near the vehicle; those of a
-//! keyframe that is far behind leave as pages through a [`PageSink`], and a [`MapViewer`] brings them back to look
-//! at the finished map.
+//! keyframe that is far behind leave as pages through a [`PageSink`]; [`render_views`](crate::render_views) brings
+//! them back to look at the finished map.
 
 pub mod capacity;
 mod depth;
@@ -15,7 +15,6 @@ mod scratch;
 mod settings;
 mod shrink;
 mod sink;
-mod viewer;
 
 pub use capacity::MapperCapacity;
 pub use images::MappingImage;
@@ -24,7 +23,6 @@ pub use optimize::OptimizeReport;
 pub use settings::MapperSettings;
 pub use shrink::mapping_camera;
 pub use sink::PageSink;
-pub use viewer::{MapViewer, Viewed, ViewerError};
 
 #[cfg(test)]
 mod tests;
