@@ -125,11 +125,6 @@ pub enum DamageKind {
         /// The id that it holds.
         id: u32,
     },
-    /// The page is of keyframes that the log does not have.
-    KeyframesMissing {
-        /// How many.
-        n_missing: u32,
-    },
     /// The manifest counts more of these files than there are.
     FilesMissing {
         /// How many.
@@ -143,7 +138,6 @@ impl std::fmt::Display for Damage {
         match self.kind {
             DamageKind::Record { offset, problem } => write!(f, "{file} at byte {offset}: {problem}"),
             DamageKind::Misnamed { id } => write!(f, "{file} holds number {id}"),
-            DamageKind::KeyframesMissing { n_missing } => write!(f, "{file}: {n_missing} of its keyframes are lost"),
             DamageKind::FilesMissing { n_missing } => write!(f, "{file}: {n_missing} files are lost"),
         }
     }

@@ -56,3 +56,17 @@ fn handing_over_allocates_nothing() {
     drop(sealed);
     assert_eq!(store.finish().map(|summary| summary.counts.pages).ok(), Some(8));
 }
+
+#[test]
+fn a_page_may_span_keyframes_that_never_mapped() {
+    let scratch = scratch();
+    let store = create(scratch.path());
+    // Of the page's two keyframes, one was held out and another frame was stored to judge by instead.
+    assert_eq!(write_keyframe(&store, &keyframe(0)), Ok(()));
+    let mut page = store.begin_page(page_label(0)).expect("a free buffer");
+    page.push(&anchor(0), &GAUSSIANS).expect("room for an anchor");
+    assert_eq!(store.commit_page(page), Ok(()));
+    store.finish().expect("written");
+    let map = open(scratch.path());
+    assert_eq!((map.pages().len(), map.damages()), (1, [].as_slice()), "not a damage");
+}
