@@ -8,6 +8,7 @@
 mod background;
 mod capacity;
 pub mod cpu;
+mod stages;
 mod training;
 
 pub use background::{
@@ -16,6 +17,7 @@ pub use background::{
 };
 pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRow};
 pub use kilogs_core::map::{AnchorHeader, GaussianParams};
+pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
     DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, StepReport, StepSettings, TargetImage,
     TrainingView,
@@ -139,4 +141,10 @@ pub trait SplatBackend: Send {
 
     /// Draws the map, compares, and takes one optimizer step with everything in view.
     fn train_step(&mut self, view: &TrainingView<'_>, settings: &StepSettings) -> StepReport;
+
+    /// Time of each stage of the last [`render`](Self::render) or [`train_step`](Self::train_step); empty when the
+    /// backend cannot tell.
+    fn stage_times(&self) -> StageTimes {
+        StageTimes::default()
+    }
 }

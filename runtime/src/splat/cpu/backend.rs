@@ -14,7 +14,7 @@ use super::update::{UpdateRule, update};
 use crate::pool::Pool;
 use crate::splat::{
     AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates, MemoryRow,
-    RenderStats, RenderTarget, SplatBackend, StepReport, StepSettings, TrainingView, View,
+    RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView, View,
 };
 
 /// Splatting on the processor.
@@ -81,6 +81,7 @@ impl CpuBackend {
                 lists: Lists::new(&capacities),
                 keyframes: vec![[0.0; 12]; capacities.keyframe_rows],
                 planes: vec![0.0; N_DRAWN * n_pixels],
+                clock: StageClock::new(),
             },
             loss: LossBuffers::new(&capacities),
         })
@@ -152,9 +153,12 @@ impl CpuBackend {
         let transmittance = self.view.drawn(n_pixels)[4];
         let grad_rgb = [upstream[0], upstream[1], upstream[2]];
         self.sky.gradients(&self.pool, self.dispatch, &drawn.rays, &drawn.grid, transmittance, grad_rgb);
+        self.view.clock.finish("sky");
         let view = CameraView { keyframes: &self.view.keyframes, camera: drawn.camera, grid: drawn.grid };
         let target = (&mut self.anchors, collected);
-        update(machine, view, drawn.n_candidates, rule, target, &self.view.lists)
+        let anisotropy = update(machine, view, drawn.n_candidates, rule, target, &self.view.lists);
+        self.view.clock.finish("update");
+        anisotropy
     }
 
     /// Everything of a training step but the steps of background and exposure.
@@ -174,6 +178,7 @@ impl CpuBackend {
         };
         let planes = self.view.drawn(drawn.grid.n_pixels());
         let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
+        self.view.clock.finish("loss");
         let n_visible = drawn.n_splats.max(1) as f32;
         let rule = UpdateRule {
             rates: rates_per_number(&settings.rates, settings.progress),
@@ -326,6 +331,11 @@ impl SplatBackend for CpuBackend {
             pass.report.loss.exposure = self.exposures.step(slot, &pass.exposure_gradient, weight, rate);
             pass.report.loss.total += weight * pass.report.loss.exposure;
         }
+        self.view.clock.finish("sky");
         pass.report
+    }
+
+    fn stage_times(&self) -> StageTimes {
+        self.view.clock.times().clone()
     }
 }

@@ -15,7 +15,7 @@ use super::sort::sort;
 use super::splats::{Lists, take_front};
 use super::splatting::{CameraView, make_splats};
 use crate::pool::Pool;
-use crate::splat::{KeyframePlacement, Overflow, RenderStats, View};
+use crate::splat::{KeyframePlacement, Overflow, RenderStats, StageClock, View};
 
 /// What every stage runs on.
 #[derive(Clone, Copy)]
@@ -34,6 +34,8 @@ pub struct ViewBuffers {
     pub keyframes: Vec<KeyframeNumbers>,
     /// Red, green, blue, depth, transmittance of the largest picture.
     pub planes: Vec<f32>,
+    /// Time of the stages.
+    pub clock: StageClock,
 }
 
 /// What the backward pass must know of the forward pass.
@@ -69,17 +71,23 @@ impl ViewBuffers {
         view: &View,
     ) -> Drawn {
         let Machine { pool, dispatch } = machine;
+        self.clock.restart();
         let grid = Grid::new(view.camera.width as usize, view.camera.height as usize);
         let camera = CameraConstants::of(view);
         let rays = Rays::of(view);
         place_keyframes(view, placements, &mut self.keyframes);
         let lists = &mut self.lists;
         let (n_candidates, invisible) = cull(pool, anchors, &self.keyframes, &Frustum::of(view), lists);
+        self.clock.finish("cull");
         let camera_view = CameraView { keyframes: &self.keyframes, camera, grid };
         make_splats(pool, dispatch, anchors, camera_view, n_candidates, lists);
+        self.clock.finish("project");
         let n_splats = sort(pool, n_candidates, lists);
+        self.clock.finish("sort");
         let counts = list_entries(pool, dispatch, &grid, n_splats, lists);
+        self.clock.finish("bin");
         let pairs = blend(machine, &grid, &rays, texels, n_splats, lists, &mut self.planes);
+        self.clock.finish("blend");
         let overflow = Overflow {
             visible_gaussians: invisible as u32,
             row_entries: counts.entries_dropped as u32,
@@ -127,7 +135,9 @@ impl ViewBuffers {
         jobs.sort_unstable_by_key(|job| (core::cmp::Reverse(job.pairs.len()), job.row));
         machine.pool.for_each(&mut jobs, |_, job| machine.dispatch.run(BlendBackward(job)));
         drop(jobs);
+        self.clock.finish("blend_backward");
         reduce(machine.pool, &grid, drawn.n_splats, lists);
+        self.clock.finish("reduce");
     }
 }
 
