@@ -1,5 +1,6 @@
-//! Developer commands: `cargo xtask test`, `cargo xtask guards`, `cargo xtask sequences`.
+//! Developer commands: `cargo xtask test`, `cargo xtask guards`, `cargo xtask bench`, `cargo xtask sequences`.
 
+mod bench;
 mod guards;
 mod sequences;
 mod setup;
@@ -23,6 +24,8 @@ enum Command {
     Test,
     /// Only the rules of the workspace that no compiler checks.
     Guards,
+    /// Prints tables of times; asserts nothing.
+    Bench(bench::BenchArgs),
     /// Replays the recordings and prints a table of figures; writes nothing into the repository.
     Sequences(sequences::SequencesArgs),
 }
@@ -38,6 +41,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::run(&root),
         Command::Guards => test::guards(&root),
+        Command::Bench(args) => bench::run(&root, &args),
         Command::Sequences(args) => sequences::run(&root, &args),
     };
     match result {
