@@ -60,9 +60,10 @@ impl WithSimd for MultiplyAdds {
     type Output = f64;
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let (factor, term) = (simd.splat_f32s(0.999), simd.splat_f32s(1e-3));
-        let mut sums = [simd.splat_f32s(1.0); ACCUMULATORS];
         let start = Instant::now();
+        // Numbers that the compiler cannot know, so that nothing is computed before the clock is read.
+        let (factor, term) = (simd.splat_f32s(black_box(0.999)), simd.splat_f32s(black_box(1e-3)));
+        let mut sums = [simd.splat_f32s(black_box(1.0)); ACCUMULATORS];
         for _ in 0..FMA_ROUNDS {
             for sum in &mut sums {
                 *sum = simd.mul_add_f32s(*sum, factor, term);
