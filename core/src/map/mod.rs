@@ -1,6 +1,7 @@
 //! The map: anchors on a hierarchical voxel grid, each relative to the keyframe that spawned it.
 
 pub mod anchor;
+pub mod decoder;
 pub mod depth;
 pub mod insertion;
 pub mod lod;
@@ -9,3 +10,4 @@ pub mod spawn;
 pub mod voxel;
 
 pub use anchor::{AnchorHeader, GaussianParams};
+pub use decoder::{AnchorFeature, DecoderShape};

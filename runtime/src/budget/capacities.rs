@@ -53,6 +53,7 @@ impl Budget {
             keyframe_rows: self.capacity(Row::MapKeyframes),
             chunk_rows: self.capacity(Row::MapChunks),
             exposure_slots: self.capacity(Row::MapKeyframeImages),
+            learned_decoder: false,
         }
     }
 

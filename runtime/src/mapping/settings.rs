@@ -21,6 +21,7 @@ const STEP: StepSettings = StepSettings {
     },
     progress: 0.0,
     weights: LossWeights { isotropy: 0.0, ..LossWeights::METHOD },
+    decoder_row: None,
 };
 
 /// Everything of the mapper that changes results and is not a capacity.

@@ -1,8 +1,8 @@
 //! A backend that draws nothing and remembers what it was told: what a viewer does can be read off it.
 
 use crate::splat::{
-    AnchorHeader, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats, RenderTarget, SplatBackend,
-    StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats, RenderTarget,
+    SplatBackend, StepReport, StepSettings, TrainingView, View,
 };
 use std::collections::BTreeMap;
 
@@ -47,6 +47,14 @@ impl SplatBackend for StubBackend {
         0
     }
 
+    fn write_features(&mut self, slots: &[u32], _: &[AnchorFeature]) -> usize {
+        slots.len()
+    }
+
+    fn read_features(&self, slots: &[u32], _: &mut [AnchorFeature]) -> usize {
+        slots.len()
+    }
+
     fn retire_anchors(&mut self, slots: &[u32]) -> usize {
         slots.iter().filter(|slot| self.anchors.remove(slot).is_none()).count()
     }
@@ -62,6 +70,14 @@ impl SplatBackend for StubBackend {
     }
 
     fn read_background(&self, _: u16, _: &mut [[f32; 3]]) -> bool {
+        false
+    }
+
+    fn write_decoder(&mut self, _: u16, _: &[f32]) -> bool {
+        false
+    }
+
+    fn read_decoder(&self, _: u16, _: &mut [f32]) -> bool {
         false
     }
 

@@ -25,6 +25,8 @@ pub struct Capacities {
     pub chunk_rows: usize,
     /// Exposure slots.
     pub exposure_slots: usize,
+    /// Anchors have features and chunks have decoders; otherwise neither takes memory and the stored numbers are drawn.
+    pub learned_decoder: bool,
 }
 
 /// Most Gaussians an anchor can have: their visibility is one 32-bit word.
@@ -49,6 +51,7 @@ impl Capacities {
             keyframe_rows: 1,
             chunk_rows: 1,
             exposure_slots: 1,
+            learned_decoder: false,
         }
     }
 

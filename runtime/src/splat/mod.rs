@@ -9,6 +9,11 @@ mod background;
 mod capacity;
 pub mod cpu;
 mod stages;
+pub mod device;
+pub mod kernel_constants;
+pub mod kernels;
+pub mod layout;
+pub mod program;
 mod training;
 
 pub use background::{
@@ -16,11 +21,11 @@ pub use background::{
     background_texel_direction,
 };
 pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRow};
-pub use kilogs_core::map::{AnchorHeader, GaussianParams};
+pub use kilogs_core::map::{AnchorFeature, AnchorHeader, DecoderShape, GaussianParams};
 pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
-    DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, StepReport, StepSettings, TargetImage,
-    TrainingView,
+    DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, StepReport, StepSettings,
+    TargetImage, TrainingView,
 };
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -107,7 +112,7 @@ pub trait SplatBackend: Send {
     /// What was fixed at construction.
     fn capacities(&self) -> &Capacities;
 
-    /// Fills slots and restarts their optimizer moments; `params` holds `gaussians_per_anchor` elements per slot,
+    /// Fills slots, sets their features to 0 and restarts their optimizer moments; `params` holds `gaussians_per_anchor` elements per slot,
     /// of which the header says how many are used. Returns how many were refused (slot, keyframe row or count out
     /// of range, or a number that is not finite).
     fn write_anchors(&mut self, slots: &[u32], headers: &[AnchorHeader], params: &[GaussianParams]) -> usize;
@@ -115,6 +120,14 @@ pub trait SplatBackend: Send {
     /// Reads slots back in the layout of [`write_anchors`](Self::write_anchors); slots out of range are left
     /// untouched and counted. A slot that is not in use reads as `n_gaussians = 0`.
     fn read_anchors(&self, slots: &[u32], headers: &mut [AnchorHeader], params: &mut [GaussianParams]) -> usize;
+
+    /// Sets the features of filled slots and restarts their optimizer moments. Returns how many were refused (slot out
+    /// of range, a number that is not finite); all of them without [`Capacities::learned_decoder`].
+    fn write_features(&mut self, slots: &[u32], features: &[AnchorFeature]) -> usize;
+
+    /// Reads features back; slots out of range are left untouched and counted, all of them without
+    /// [`Capacities::learned_decoder`].
+    fn read_features(&self, slots: &[u32], features: &mut [AnchorFeature]) -> usize;
 
     /// Frees slots. Returns how many were out of range.
     fn retire_anchors(&mut self, slots: &[u32]) -> usize;
@@ -129,6 +142,15 @@ pub trait SplatBackend: Send {
 
     /// Reads the background of a chunk row. False when the row or the length is wrong.
     fn read_background(&self, chunk_row: u16, texels: &mut [[f32; 3]]) -> bool;
+
+    /// Sets the decoder of a chunk row, in the layout of [`kilogs_core::map::decoder`], and restarts its optimizer
+    /// moments; rows that were never written add nothing. False when the row or the length is wrong, a number is not
+    /// finite, or without [`Capacities::learned_decoder`].
+    fn write_decoder(&mut self, chunk_row: u16, weights: &[f32]) -> bool;
+
+    /// Reads the decoder of a chunk row. False when the row or the length is wrong, or without
+    /// [`Capacities::learned_decoder`].
+    fn read_decoder(&self, chunk_row: u16, weights: &mut [f32]) -> bool;
 
     /// Sets the exposure of a slot and restarts its optimizer moments. False when the slot is out of range.
     fn write_exposure(&mut self, slot: u32, exposure: Exposure) -> bool;

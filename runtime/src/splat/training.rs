@@ -85,6 +85,49 @@ impl LearningRate {
     }
 }
 
+/// Adam step sizes of features and of the decoder that learns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DecoderRates {
+    /// Features of the anchors in view.
+    pub feature: LearningRate,
+    /// `W1` and `b1`.
+    pub hidden: LearningRate,
+    /// Rows of `W2` and `b2` whose output is an offset.
+    pub offset: LearningRate,
+    /// The same for logarithms of scales.
+    pub log_scale: LearningRate,
+    /// The same for quaternion components.
+    pub rotation: LearningRate,
+    /// The same for opacity logits.
+    pub opacity: LearningRate,
+    /// The same for color logits.
+    pub color: LearningRate,
+}
+
+impl DecoderRates {
+    /// Nothing of the decoder learns.
+    pub const FROZEN: Self = Self {
+        feature: LearningRate::constant(0.0),
+        hidden: LearningRate::constant(0.0),
+        offset: LearningRate::constant(0.0),
+        log_scale: LearningRate::constant(0.0),
+        rotation: LearningRate::constant(0.0),
+        opacity: LearningRate::constant(0.0),
+        color: LearningRate::constant(0.0),
+    };
+
+    /// The peers' values (method.md 10); the hidden layer, which theirs do not share, at the rate of the covariance.
+    pub const METHOD: Self = Self {
+        feature: LearningRate::constant(0.0075),
+        hidden: LearningRate::constant(0.004),
+        offset: LearningRate::constant(0.004),
+        log_scale: LearningRate::constant(0.004),
+        rotation: LearningRate::constant(0.004),
+        opacity: LearningRate { start: 0.002, end: 2e-5 },
+        color: LearningRate { start: 0.008, end: 5e-5 },
+    };
+}
+
 /// Adam step sizes per parameter group.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningRates {
@@ -102,6 +145,8 @@ pub struct LearningRates {
     pub background: LearningRate,
     /// Exposure gain and bias.
     pub exposure: LearningRate,
+    /// Features and decoder; without effect where the backend has none.
+    pub decoder: DecoderRates,
 }
 
 impl LearningRates {
@@ -116,6 +161,7 @@ impl LearningRates {
         color: LearningRate { start: 0.03, end: 0.01 },
         background: LearningRate { start: 0.01, end: 0.002 },
         exposure: LearningRate::constant(0.001),
+        decoder: DecoderRates::FROZEN,
     };
 }
 
@@ -148,12 +194,14 @@ pub struct StepSettings {
     pub progress: f32,
     /// Factors of the loss terms.
     pub weights: LossWeights,
+    /// Chunk row whose decoder learns; those of all others are frozen. Features learn whatever their row.
+    pub decoder_row: Option<u16>,
 }
 
 impl StepSettings {
     /// The method's weights with rates for directly trained Gaussians.
     pub const fn direct(progress: f32) -> Self {
-        Self { rates: LearningRates::DIRECT, progress, weights: LossWeights::METHOD }
+        Self { rates: LearningRates::DIRECT, progress, weights: LossWeights::METHOD, decoder_row: None }
     }
 }
 

@@ -3,8 +3,10 @@
 use super::anchors::{Anchors, slot_bytes};
 use super::cull::KeyframeNumbers;
 use super::decode::{N_PARAMS, group};
+use super::decoders::{Decoders, decoder_row_bytes};
 use super::draw::{Drawn, Machine, ViewBuffers};
 use super::exposures::{EXPOSURE_BYTES, Exposures};
+use super::features::{FEATURE_BYTES, Features};
 use super::loss::{ExposureGradient, LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
 use super::simd::{Dispatch, SimdLevel};
 use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
@@ -13,9 +15,11 @@ use super::splatting::CameraView;
 use super::update::{UpdateRule, update};
 use crate::pool::Pool;
 use crate::splat::{
-    AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates, MemoryRow,
-    RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates,
+    MemoryRow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView,
+    View,
 };
+use kilogs_core::map::decoder::NO_FEATURE;
 
 /// Splatting on the processor.
 pub struct CpuBackend {
@@ -23,6 +27,8 @@ pub struct CpuBackend {
     pool: Pool,
     dispatch: Dispatch,
     anchors: Anchors,
+    features: Features,
+    decoders: Decoders,
     placements: Vec<KeyframePlacement>,
     sky: Sky,
     exposures: Exposures,
@@ -74,6 +80,8 @@ impl CpuBackend {
             pool,
             dispatch,
             anchors: Anchors::new(&capacities),
+            features: Features::new(&capacities),
+            decoders: Decoders::new(&capacities),
             placements: vec![KeyframePlacement::identity(); capacities.keyframe_rows],
             sky: Sky::new(capacities.chunk_rows),
             exposures: Exposures::new(capacities.exposure_slots),
@@ -102,7 +110,10 @@ impl CpuBackend {
         let row = |name, elements, bytes_per_element| MemoryRow { name, elements, bytes_per_element };
         let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
         let placement_bytes = size_of::<KeyframePlacement>() + size_of::<KeyframeNumbers>();
-        let slot = slot_bytes(capacities.gaussians_per_anchor) + size_of::<u32>();
+        let k = capacities.gaussians_per_anchor;
+        let (feature, decoder) =
+            if capacities.learned_decoder { (FEATURE_BYTES, decoder_row_bytes(k)) } else { (0, 0) };
+        let slot = slot_bytes(k) + size_of::<u32>() + feature;
         [
             row("splat.anchors", capacities.anchors, slot),
             row("splat.visible_gaussians", capacities.visible_gaussians, VISIBLE_BYTES),
@@ -111,7 +122,7 @@ impl CpuBackend {
             row("splat.image_pixels", n_pixels, N_DRAWN * size_of::<f32>()),
             row("splat.training_pixels", capacities.training_pixels, TRAINING_PIXEL_BYTES),
             row("splat.keyframe_rows", capacities.keyframe_rows, placement_bytes),
-            row("splat.chunk_rows", capacities.chunk_rows, SKY_ROW_BYTES + SKY_GRADIENT_BYTES),
+            row("splat.chunk_rows", capacities.chunk_rows, SKY_ROW_BYTES + SKY_GRADIENT_BYTES + decoder),
             row("splat.exposure_slots", capacities.exposure_slots, EXPOSURE_BYTES),
         ]
     }
@@ -258,15 +269,33 @@ impl SplatBackend for CpuBackend {
 
     fn write_anchors(&mut self, slots: &[u32], headers: &[AnchorHeader], params: &[GaussianParams]) -> usize {
         let (k, rows) = (self.anchors.k, self.capacities.keyframe_rows);
-        let written = slots.iter().zip(headers).zip(params.chunks(k));
-        let written = written.filter(|((slot, header), params)| self.anchors.write(**slot, header, params, rows));
-        slots.len() - written.count()
+        let mut refused = slots.len();
+        for ((&slot, header), params) in slots.iter().zip(headers).zip(params.chunks(k)) {
+            if self.anchors.write(slot, header, params, rows) {
+                self.features.write(slot, &NO_FEATURE);
+                refused -= 1;
+            }
+        }
+        refused
     }
 
     fn read_anchors(&self, slots: &[u32], headers: &mut [AnchorHeader], params: &mut [GaussianParams]) -> usize {
         let read = slots.iter().zip(headers).zip(params.chunks_mut(self.anchors.k));
         slots.len()
             - read.filter_map(|((&slot, header), params)| self.anchors.read(slot, header, params).then_some(())).count()
+    }
+
+    fn write_features(&mut self, slots: &[u32], features: &[AnchorFeature]) -> usize {
+        let written = slots.iter().zip(features).filter(|&(&slot, feature)| self.features.write(slot, feature));
+        slots.len() - written.count()
+    }
+
+    fn read_features(&self, slots: &[u32], features: &mut [AnchorFeature]) -> usize {
+        let read = slots.iter().zip(features).filter_map(|(&slot, feature)| {
+            *feature = *self.features.read(slot)?;
+            Some(())
+        });
+        slots.len() - read.count()
     }
 
     fn retire_anchors(&mut self, slots: &[u32]) -> usize {
@@ -288,6 +317,20 @@ impl SplatBackend for CpuBackend {
         match self.sky.row(chunk_row).filter(|row| row.len() == texels.len()) {
             Some(row) => {
                 texels.copy_from_slice(row);
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn write_decoder(&mut self, chunk_row: u16, weights: &[f32]) -> bool {
+        self.decoders.write(chunk_row, weights)
+    }
+
+    fn read_decoder(&self, chunk_row: u16, weights: &mut [f32]) -> bool {
+        match self.decoders.row(chunk_row).filter(|decoder| decoder.weights.len() == weights.len()) {
+            Some(decoder) => {
+                weights.copy_from_slice(&decoder.weights);
                 true
             }
             None => false,

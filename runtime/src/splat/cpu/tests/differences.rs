@@ -17,6 +17,7 @@ const NO_RATES: LearningRates = LearningRates {
     color: FROZEN,
     background: FROZEN,
     exposure: FROZEN,
+    decoder: DecoderRates::FROZEN,
 };
 const NONE: LossWeights = LossWeights { l1: 0.0, ssim: 0.0, depth: 0.0, isotropy: 0.0, exposure: 0.0 };
 
@@ -43,7 +44,7 @@ impl Problem {
         let wave = |i: usize, f: f32| offset + 0.5 + 0.4 * (i as f32 * f).sin();
         let target = (0..n).map(|i| [wave(i, 0.31), wave(i, 0.11), wave(i, 0.05)]).collect();
         let confidence = (0..n).map(|i| (i % 4) as f32 / 3.0).collect();
-        let settings = StepSettings { rates: NO_RATES, progress: 0.0, weights };
+        let settings = StepSettings { rates: NO_RATES, progress: 0.0, weights, decoder_row: None };
         Self { backend, headers, view, target, depth_m: vec![50.0; n], confidence, settings }
     }
 

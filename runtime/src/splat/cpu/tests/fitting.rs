@@ -89,6 +89,7 @@ fn exposure_is_learned_and_pulled_to_identity() {
         color: frozen,
         background: frozen,
         exposure: LearningRate::constant(0.005),
+        decoder: DecoderRates::FROZEN,
     };
     for _ in 0..200 {
         backend.train_step(&training, &settings);

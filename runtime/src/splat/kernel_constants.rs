@@ -1,0 +1,109 @@
+//! Numbers that kernels and their host share, once; `runtime/build.rs` reads this file too, so it depends on nothing.
+
+/// Side of a tile, px.
+pub const TILE_PX: u32 = 16;
+/// Side of a block, px: what one invocation blends.
+pub const BLOCK_PX: u32 = 4;
+/// Most rows (or columns) of tiles.
+pub const MAX_TILE_ROWS: u32 = 256;
+/// Trained numbers per Gaussian.
+pub const N_PARAMS: u32 = 14;
+/// Numbers per splat that blending has gradients for.
+pub const N_SPLAT_GRADS: u32 = 10;
+/// Binary logarithm of the smallest alpha that is blended.
+pub const LOG2_MIN_ALPHA: f32 = -7.994_353_4;
+/// Largest alpha of a single splat.
+pub const MAX_ALPHA: f32 = 0.99;
+/// A pixel ends before the Gaussian that would take its transmittance to this or less.
+pub const MIN_TRANSMITTANCE: f32 = 1e-4;
+/// Variance added to every splat, px^2.
+pub const SCREEN_DILATION_PX2: f32 = 0.3;
+/// Gaussians nearer than this are not drawn, m.
+pub const NEAR_PLANE_M: f32 = 0.01;
+/// At an opacity of 1 a splat ends at this many standard deviations.
+pub const MAX_SIGMAS: f32 = 3.33;
+/// Below this squared norm a quaternion has no direction.
+pub const MIN_QUATERNION_NORM2: f32 = 1e-20;
+/// Rounding errors of an ellipse's border are smaller than this, px.
+pub const BORDER_MARGIN_PX: f32 = 0.01;
+/// Texels of a background table around the horizon.
+pub const BACKGROUND_COLUMNS: u32 = 128;
+/// Texels of a background table from the lowest to the highest elevation.
+pub const BACKGROUND_ROWS: u32 = 32;
+/// Lower edge of a background table, rad.
+pub const BACKGROUND_MIN_ELEVATION_RAD: f32 = -15.0 * core::f32::consts::PI / 180.0;
+/// Upper edge of a background table, rad.
+pub const BACKGROUND_MAX_ELEVATION_RAD: f32 = 60.0 * core::f32::consts::PI / 180.0;
+/// Levels of detail.
+pub const N_LEVELS: u32 = 5;
+/// Half width of the zone in which two levels exist, relative to the border's distance.
+pub const BAND_OVERLAP_RATIO: f32 = 0.05;
+/// Where each level begins, m.
+pub const BAND_STARTS_M: [f32; N_LEVELS as usize] = [0.0, 20.0, 40.0, 80.0, 160.0];
+
+/// Invocations of the kernels that take one Gaussian, pixel or slot each.
+pub const GROUP: u32 = 256;
+/// Invocations of the kernels that take one block of pixels each: four tiles.
+pub const BLEND_GROUP: u32 = 64;
+/// Pieces that a list is cut into where every invocation walks one piece in order (sorting).
+pub const SORT_PIECES: u32 = 1024;
+/// Bits of a sort key that one pass looks at.
+pub const DIGIT_BITS: u32 = 8;
+/// Values of a digit.
+pub const DIGITS: u32 = 1 << DIGIT_BITS;
+/// Sort key of what is not drawn: behind everything.
+pub const NOT_VISIBLE: u32 = u32::MAX;
+
+/// A constant as WGSL sees it.
+pub enum Value {
+    /// Unsigned.
+    U32(u32),
+    /// Real.
+    F32(f32),
+    /// Reals.
+    F32s(&'static [f32]),
+}
+
+/// All constants by name, in the order of the generated text.
+pub const ALL: &[(&str, Value)] = &[
+    ("TILE_PX", Value::U32(TILE_PX)),
+    ("BLOCK_PX", Value::U32(BLOCK_PX)),
+    ("MAX_TILE_ROWS", Value::U32(MAX_TILE_ROWS)),
+    ("N_PARAMS", Value::U32(N_PARAMS)),
+    ("N_SPLAT_GRADS", Value::U32(N_SPLAT_GRADS)),
+    ("LOG2_MIN_ALPHA", Value::F32(LOG2_MIN_ALPHA)),
+    ("MAX_ALPHA", Value::F32(MAX_ALPHA)),
+    ("MIN_TRANSMITTANCE", Value::F32(MIN_TRANSMITTANCE)),
+    ("SCREEN_DILATION_PX2", Value::F32(SCREEN_DILATION_PX2)),
+    ("NEAR_PLANE_M", Value::F32(NEAR_PLANE_M)),
+    ("MAX_SIGMAS", Value::F32(MAX_SIGMAS)),
+    ("MIN_QUATERNION_NORM2", Value::F32(MIN_QUATERNION_NORM2)),
+    ("BORDER_MARGIN_PX", Value::F32(BORDER_MARGIN_PX)),
+    ("BACKGROUND_COLUMNS", Value::U32(BACKGROUND_COLUMNS)),
+    ("BACKGROUND_ROWS", Value::U32(BACKGROUND_ROWS)),
+    ("BACKGROUND_MIN_ELEVATION_RAD", Value::F32(BACKGROUND_MIN_ELEVATION_RAD)),
+    ("BACKGROUND_MAX_ELEVATION_RAD", Value::F32(BACKGROUND_MAX_ELEVATION_RAD)),
+    ("N_LEVELS", Value::U32(N_LEVELS)),
+    ("BAND_OVERLAP_RATIO", Value::F32(BAND_OVERLAP_RATIO)),
+    ("BAND_STARTS_M", Value::F32s(&BAND_STARTS_M)),
+    ("GROUP", Value::U32(GROUP)),
+    ("BLEND_GROUP", Value::U32(BLEND_GROUP)),
+    ("SORT_PIECES", Value::U32(SORT_PIECES)),
+    ("DIGIT_BITS", Value::U32(DIGIT_BITS)),
+    ("DIGITS", Value::U32(DIGITS)),
+    ("NOT_VISIBLE", Value::U32(NOT_VISIBLE)),
+];
+
+/// The constants as WGSL.
+pub fn wgsl() -> String {
+    ALL.iter()
+        .map(|(name, value)| match value {
+            Value::U32(v) => format!("const {name}: u32 = {v}u;\n"),
+            Value::F32(v) => format!("const {name}: f32 = {v:?}f;\n"),
+            Value::F32s(v) => {
+                let list: Vec<String> = v.iter().map(|x| format!("{x:?}f")).collect();
+                format!("const {name} = array<f32, {}>({});\n", v.len(), list.join(", "))
+            }
+        })
+        .collect()
+}

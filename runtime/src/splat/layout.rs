@@ -1,0 +1,147 @@
+//! Structs that the host and the kernels share; a test compares every member with the WGSL.
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// The uniform block of every kernel (`shaders/shared/view.wgsl`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct ViewBlock {
+    /// Width of the picture, px.
+    pub width: u32,
+    /// Height of the picture, px.
+    pub height: u32,
+    /// Tiles side by side.
+    pub tile_columns: u32,
+    /// Rows of tiles.
+    pub tile_rows: u32,
+    /// Slots below this number may be in use.
+    pub n_slots: u32,
+    /// Gaussians per slot.
+    pub k: u32,
+    /// Candidates that fit.
+    pub candidate_capacity: u32,
+    /// Row entries that fit.
+    pub entry_capacity: u32,
+    /// Pairs that fit.
+    pub pair_capacity: u32,
+    /// First texel of the background's chunk row.
+    pub first_texel: u32,
+    /// Kind of target picture: 0 RGB bytes, 1 gray bytes, 2 RGB reals.
+    pub target_kind: u32,
+    /// 1 when there is a depth target.
+    pub has_depth: u32,
+    /// Focal lengths, px.
+    pub focal_px: [f32; 2],
+    /// Principal point, px.
+    pub center_px: [f32; 2],
+    /// Smallest x/z and y/z at which the projection is linearised.
+    pub min_z1: [f32; 2],
+    /// Largest x/z and y/z at which the projection is linearised.
+    pub max_z1: [f32; 2],
+    /// Largest length of a row of the projection's Jacobian at z = 1, px.
+    pub stretch_px: [f32; 2],
+    /// Exposure slot, all ones for none.
+    pub exposure_slot: u32,
+    /// Weight of the mean absolute color difference.
+    pub l1_weight: f32,
+    /// Ray of pixel coordinate (0, 0) in map axes; the fourth is unused.
+    pub ray_corner: [f32; 4],
+    /// Change of the ray per px to the right.
+    pub ray_right: [f32; 4],
+    /// Change of the ray per px down.
+    pub ray_down: [f32; 4],
+    /// Weight of `1 - SSIM`.
+    pub ssim_weight: f32,
+    /// Weight of the depth difference over the sum of the confidences.
+    pub depth_scale: f32,
+    /// Weight of the mean anisotropy.
+    pub isotropy_weight: f32,
+    /// Weight of the exposure's deviation.
+    pub exposure_weight: f32,
+    /// Adam step size of offsets.
+    pub offset_rate: f32,
+    /// Adam step size of logarithms of scales.
+    pub log_scale_rate: f32,
+    /// Adam step size of quaternions.
+    pub rotation_rate: f32,
+    /// Adam step size of opacity logits.
+    pub opacity_rate: f32,
+    /// Adam step size of color logits.
+    pub color_rate: f32,
+    /// Adam step size of background texels.
+    pub background_rate: f32,
+    /// Adam step size of exposures.
+    pub exposure_rate: f32,
+    /// Adam steps that the background's chunk row has taken, this one included.
+    pub background_step: u32,
+}
+
+/// What of an anchor never changes by training, as kernels read it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct DeviceAnchor {
+    /// Centre of the anchor's voxel in its keyframe's frame, m.
+    pub position_x: f32,
+    /// The same, y.
+    pub position_y: f32,
+    /// The same, z.
+    pub position_z: f32,
+    /// Row of the keyframe.
+    pub keyframe_row: u32,
+    /// Extent, m.
+    pub extent_x: f32,
+    /// Extent, m.
+    pub extent_y: f32,
+    /// Extent, m.
+    pub extent_z: f32,
+    /// Level | used Gaussians << 8 | chunk row << 16.
+    pub packed: u32,
+}
+
+/// Camera from a keyframe row: rows of `scale * rotation | translation`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct KeyframeBlock {
+    /// First row.
+    pub row_x: [f32; 4],
+    /// Second row.
+    pub row_y: [f32; 4],
+    /// Third row.
+    pub row_z: [f32; 4],
+}
+
+/// Counters of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct Counters {
+    /// Candidates that were found.
+    pub candidates_needed: u32,
+    /// Candidates that fit.
+    pub candidates: u32,
+    /// Gaussians whose splat meets the picture.
+    pub visible: u32,
+    /// Row entries that were asked for.
+    pub entries_needed: u32,
+    /// Pairs that were asked for.
+    pub pairs_needed: u32,
+    /// Pairs that were listed.
+    pub pairs: u32,
+    /// Unused.
+    pub spare_a: u32,
+    /// Unused.
+    pub spare_b: u32,
+}
+
+/// Workgroup counts that kernels find out, three words each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct IndirectGroups {
+    /// One invocation per candidate in groups of [`GROUP`](super::kernel_constants::GROUP): x, y, z.
+    pub candidates_x: u32,
+    /// Always 1.
+    pub candidates_y: u32,
+    /// Always 1.
+    pub candidates_z: u32,
+    /// Unused.
+    pub spare: u32,
+}
