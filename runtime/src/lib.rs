@@ -18,6 +18,7 @@ pub mod export;
 pub mod render_views;
 pub mod telemetry;
 pub mod pipeline;
+pub mod fit;
 
 mod run_error;
 pub use run_error::RunError;

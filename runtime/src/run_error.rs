@@ -75,3 +75,9 @@ impl From<&RunError> for ExitCode {
         Self::from(error.code())
     }
 }
+
+impl From<kilogs_camera::source::SourceError> for RunError {
+    fn from(error: kilogs_camera::source::SourceError) -> Self {
+        kilogs_camera::cli::CameraError::from(error).into()
+    }
+}

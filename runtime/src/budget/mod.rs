@@ -85,6 +85,30 @@ impl Budget {
         parse::parse(text, file)
     }
 
+    /// The same budget with room for another number of Gaussians: the rows that follow from it change in proportion.
+    ///
+    /// # Errors
+    /// [`BudgetError::Row`] when a row would leave its range.
+    pub fn with_max_gaussians(&self, max_gaussians: usize) -> Result<Self, BudgetError> {
+        let per_anchor = self.capacity(Row::MapGaussiansPerAnchor).max(1);
+        let (before, after) = (self.capacity(Row::MapAnchors).max(1), max_gaussians.div_ceil(per_anchor));
+        let mut changed = self.clone();
+        let following = [Row::MapVoxels, Row::SplatVisibleGaussians, Row::SplatRowEntries, Row::SplatPairs];
+        for row in [Row::MapAnchors].into_iter().chain(following) {
+            let scaled = u128::from(self.entry(row).capacity) * after as u128 / before as u128;
+            let capacity = u64::try_from(scaled).unwrap_or(u64::MAX);
+            let range = &row.spec().range;
+            if !range.contains(&capacity) {
+                let (least, most) = (*range.start(), *range.end());
+                return Err(BudgetError::Scaled { max_gaussians, row, capacity, least, most });
+            }
+            changed.entries[row as usize].capacity = capacity;
+        }
+        let new_anchors = &mut changed.entries[Row::MapNewAnchors as usize];
+        new_anchors.capacity = new_anchors.capacity.min(after as u64);
+        Ok(changed)
+    }
+
     /// Where the budget came from.
     pub fn file(&self) -> &str {
         &self.file
@@ -158,6 +182,22 @@ pub enum BudgetError {
         problem: String,
         /// What to write instead.
         fix: String,
+    },
+    /// A number of Gaussians that asks too little or too much of a row.
+    #[error(
+        "--max-gaussians {max_gaussians}: [{row}] would get a capacity of {capacity}, which must be {least} to {most}"
+    )]
+    Scaled {
+        /// What was asked for.
+        max_gaussians: usize,
+        /// The row that cannot follow.
+        row: Row,
+        /// What it would have to be.
+        capacity: u64,
+        /// Least that it can be.
+        least: u64,
+        /// Most that it can be.
+        most: u64,
     },
     /// The capacities cost more than the cap for this camera.
     #[error("{file}: {domain} memory: the plan needs {}, [total] {cap_key} is {}; {culprit}", HumanBytes(*needed), HumanBytes(*cap))]

@@ -2,6 +2,7 @@
 
 mod common;
 mod demo;
+mod fit;
 mod map_commands;
 mod replay;
 mod run;
@@ -33,6 +34,8 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Attach to a live camera service, track and map until Ctrl-C or the end of the stream.
     Run(run::RunArgs),
+    /// Train a map from images whose places are known.
+    Fit(fit::FitArgs),
     /// Judge an output folder against ground truth.
     Eval(kilogs_eval::EvalArgs),
     /// Render views of a stored map.
@@ -74,6 +77,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Demo(args) => demo::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Run(args) => run::run(args),
+        Command::Fit(args) => fit::run(args),
         Command::Eval(args) => kilogs_eval::run(args).map_err(|e| RunError::Input(e.to_string())),
         Command::Render(command) => map_commands::render(command),
         Command::Export(command) => map_commands::export(command),

@@ -98,6 +98,17 @@ impl Mapper {
         }
     }
 
+    /// Hands over the oldest group, unless it holds the newest keyframe; false when it stays.
+    pub(super) fn evict_oldest_group(&mut self, sink: &mut dyn PageSink) -> bool {
+        let is_last = self.groups.groups.len() < 2;
+        let Some(oldest) = self.groups.groups.front().copied().filter(|_| !is_last) else { return false };
+        let is_gone = self.evict_group(oldest.group, sink);
+        if is_gone {
+            self.groups.groups.pop_front();
+        }
+        is_gone
+    }
+
     /// Hands over every group and the chunk that is being built; false when the sink did not take everything.
     pub(super) fn evict_everything(&mut self, sink: &mut dyn PageSink) -> bool {
         while let Some(oldest) = self.groups.groups.front().copied() {
@@ -212,14 +223,20 @@ impl Mapper {
 
     /// Drops the faint and the oversized Gaussians of the keyframe that has just left the window.
     pub(super) fn prune_after_window(&mut self) {
-        let Some(left) = self.images.newest(self.settings.window).map(|kept| kept.keyframe.ordinal) else { return };
+        if let Some(left) = self.images.newest(self.settings.window).map(|kept| kept.keyframe.ordinal) {
+            self.prune(left);
+        }
+    }
+
+    /// Drops the faint and the oversized Gaussians of a keyframe.
+    pub(super) fn prune(&mut self, ordinal: u32) {
         let focal_px = self.images.camera().fx as f32;
         let max_sigma_px = self.settings.max_width_ratio * self.images.camera().width as f32 / WIDTH_IN_SIGMAS;
         let limits = PruneLimits {
             min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
             max_sigma_z1: max_sigma_px / focal_px,
         };
-        self.stage(|ordinal| ordinal == left);
+        self.stage(|of_anchor| of_anchor == ordinal);
         let Staging { slots, headers, params, .. } = &mut self.staging;
         self.backend.read_anchors(slots, headers, params);
         let k = self.capacity.gaussians_per_anchor;

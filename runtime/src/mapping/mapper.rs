@@ -234,8 +234,12 @@ impl Mapper {
     }
 
     fn count(&mut self, report: &InsertReport) {
+        self.counters.keyframes += 1;
+        self.count_inserted(report);
+    }
+
+    pub(super) fn count_inserted(&mut self, report: &InsertReport) {
         let counters = &mut self.counters;
-        counters.keyframes += 1;
         counters.anchors_total += u64::from(report.n_anchors);
         counters.gaussians_total += u64::from(report.n_gaussians);
         counters.refused += u64::from(report.n_refused);

@@ -7,6 +7,7 @@
 pub mod capacity;
 mod depth;
 mod evict;
+mod given_views;
 mod images;
 mod insert;
 mod mapper;
@@ -17,11 +18,12 @@ mod shrink;
 mod sink;
 
 pub use capacity::MapperCapacity;
+pub use given_views::GivenView;
 pub use images::MappingImage;
 pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Mapper, PacketRefused};
 pub use optimize::OptimizeReport;
 pub use settings::MapperSettings;
-pub use shrink::mapping_camera;
+pub use shrink::{mapping_camera, shrink};
 pub use sink::PageSink;
 
 #[cfg(test)]

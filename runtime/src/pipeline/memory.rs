@@ -51,7 +51,7 @@ pub fn manifest(plan: &RunPlan) -> Manifest {
     }
     Manifest {
         camera: plan.camera,
-        mounting: Some(plan.mounting),
+        mounting: plan.mounting,
         pixel_format: plan.pixel_format,
         voxel_m,
         n_levels: N_LEVELS as u32,
@@ -96,7 +96,10 @@ pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
     };
     let mut settings = plan.settings.tracking.tracker;
     settings.motion.reverse_allowed |= plan.may_reverse;
-    Tracker::new(plan.camera, plan.mounting, settings, kilogs_core::features::SimdLevel::new(), plan.seed, storage)
+    let Some(mounting) = plan.mounting else {
+        return Err(RunError::Run("setting up the tracker: nothing is known of the camera's mounting".to_owned()));
+    };
+    Tracker::new(plan.camera, mounting, settings, kilogs_core::features::SimdLevel::new(), plan.seed, storage)
         .map_err(|e| RunError::Run(format!("setting up the tracker: {e}")))
 }
 

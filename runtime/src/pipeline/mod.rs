@@ -19,7 +19,12 @@ mod supervisor;
 mod tally;
 mod tracking_thread;
 
+pub(crate) use finish::{Concluded, conclude};
+pub(crate) use mapping_thread::MappingSummary;
+pub(crate) use memory::{manifest, mapper, store_settings};
 pub use plan::{Pace, RunPlan};
+pub(crate) use supervisor::Told;
+pub(crate) use tally::{ScaleSource, Tally};
 
 use crate::input::{CameraChild, InputError};
 use crate::run_error::RunError;

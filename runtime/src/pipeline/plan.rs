@@ -36,7 +36,7 @@ pub struct RunPlan {
     /// Size and intrinsics.
     pub camera: Pinhole,
     /// How the camera sits on the vehicle.
-    pub mounting: Mounting,
+    pub mounting: Option<Mounting>,
     /// What the pixels will be, or the most expensive they may be.
     pub pixel_format: PixelFormat,
     /// Frames that will come, where that is known.
@@ -66,15 +66,43 @@ impl RunPlan {
         args.check_backend()?;
         let settings = args.settings()?;
         let budget = args.budget()?;
-        let simd = args.simd()?;
-        let mounting = format.mounting.ok_or_else(|| {
-            RunError::Usage(
+        if format.mounting.is_none() {
+            return Err(RunError::Usage(
                 "planning the run: the camera's height over the road is unknown, and with it the scale; \
                  give --camera kitti, or a camera.toml with height_m"
                     .to_owned(),
-            )
-        })?;
-        let memory_input = plan_input(&format, settings.mapping.mapper.resolution);
+            ));
+        }
+        let training_resolution = settings.mapping.mapper.resolution;
+        Self::of_parts(args, format, pace, out, (settings, budget, training_resolution))
+    }
+
+    /// A run over views whose places are known: it trains up to native resolution, and needs no scale.
+    ///
+    /// # Errors
+    /// [`RunError`] of configuration, budget or device.
+    pub fn for_given_views(
+        args: &CommonArgs,
+        format: SourceFormat,
+        out: &Path,
+        max_gaussians: Option<usize>,
+    ) -> Result<Self, RunError> {
+        args.check_backend()?;
+        let settings = args.settings()?;
+        let budget = args.budget()?;
+        let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
+        Self::of_parts(args, format, Pace::LockStep { iterations: 0 }, out, (settings, budget, 1.0))
+    }
+
+    fn of_parts(
+        args: &CommonArgs,
+        format: SourceFormat,
+        pace: Pace,
+        out: &Path,
+        (settings, budget, training_resolution): (Settings, Budget, f64),
+    ) -> Result<Self, RunError> {
+        let simd = args.simd()?;
+        let memory_input = plan_input(&format, training_resolution);
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
@@ -84,7 +112,7 @@ impl RunPlan {
             memory_input,
             memory,
             camera: format.camera,
-            mounting,
+            mounting: format.mounting,
             pixel_format: format.pixel_format,
             n_frames: format.n_frames,
             pace,

@@ -20,9 +20,25 @@ pub struct Tally {
     last_position_m: Option<Vector3<f64>>,
     input: InputCounts,
     n_keyframes_dropped: u64,
+    scale_source: ScaleSource,
+}
+
+/// Where metres come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ScaleSource {
+    /// The camera's height over the road.
+    #[default]
+    GroundPlane,
+    /// Poses that were given.
+    GivenPoses,
 }
 
 impl Tally {
+    /// A tally of a run whose metres come from elsewhere.
+    pub fn with_scale_source(scale_source: ScaleSource) -> Self {
+        Self { scale_source, ..Self::default() }
+    }
+
     /// Adds a frame; `rss_bytes` is the latest resident size.
     pub fn frame(&mut self, report: &FrameReport, times: &StageTimes, rss_bytes: u64) {
         // Waiting for the camera is not our time.
@@ -84,9 +100,19 @@ impl Tally {
             pnp: self.pnp,
             dense_fallback: self.dense,
             anomalies: self.anomalies,
-            scale_source: Some("ground_plane".to_owned()),
+            scale_source: Some(self.scale_source.name().to_owned()),
             loops: 0,
             path_length_m,
+        }
+    }
+}
+
+impl ScaleSource {
+    /// As in `report.json`.
+    fn name(self) -> &'static str {
+        match self {
+            Self::GroundPlane => "ground_plane",
+            Self::GivenPoses => "given_poses",
         }
     }
 }

@@ -18,8 +18,8 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 pub struct CameraDescription {
     /// Size, intrinsics, mounting, pixel format and number of frames.
     pub format: SourceFormat,
-    /// Where the images lie.
-    pub images: PathBuf,
+    /// The image of each frame.
+    pub images: Vec<PathBuf>,
     /// Time of each frame.
     pub timestamps_ns: Vec<TimestampNs>,
 }
@@ -31,7 +31,8 @@ pub struct CameraDescription {
 pub fn describe(dataset: &Path, camera: Option<&str>, fps: Option<f64>) -> Result<CameraDescription, SourceError> {
     let source = FolderSource::open(dataset, camera.map(CameraArgument::from).as_ref(), fps)?;
     let format = source.format();
-    Ok(CameraDescription { format, images: source.folder, timestamps_ns: source.timestamps_ns })
+    let images = source.file_names.iter().map(|name| source.folder.join(&**name)).collect();
+    Ok(CameraDescription { format, images, timestamps_ns: source.timestamps_ns })
 }
 
 /// Reads the images of a folder.

@@ -3,6 +3,7 @@
 mod calibration;
 mod folder;
 mod image_file;
+mod image_list;
 mod playback;
 mod times;
 
@@ -13,6 +14,7 @@ use kilogs_core::conventions::TimestampNs;
 pub use kilogs_core::frame::PixelFormat;
 
 pub use folder::{CameraDescription, FolderSource, describe};
+pub use image_list::ImageList;
 pub use playback::{Playback, PlaybackRange, STANDING_FRAMES, Schedule};
 
 /// What every frame of a source has in common.

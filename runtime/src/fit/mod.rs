@@ -1,0 +1,20 @@
+//! A map from images whose places are known: the mapper without the tracker, measured against public trainers.
+//!
+//! The views pass the [`Mapper`](crate::mapping::Mapper) in their order, as keyframes of a drive do; then all views
+//! whose anchors are in memory are trained together, from coarse to fine, and what the trained map still lacks is
+//! inserted. A scene with more than fits is trained in sections. Every eighth view is held out.
+
+mod effort;
+mod images;
+mod kitti;
+mod points;
+mod run;
+mod scene;
+mod schedule;
+mod trainer;
+mod transforms;
+
+pub use effort::Effort;
+pub use kitti::poses_of;
+pub use run::{FitRequest, run};
+pub use scene::{PosedView, Scene, SceneError, SceneRequest};
