@@ -55,6 +55,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
     }
     exclusive_sum(lane, countOneBits(bits));
     if lane == 0u {
-        group_totals[group.x] = scan_sums[GROUP - 1u];
+        group_totals[group.x] = scan_sums[SCAN_GROUP - 1u];
     }
 }

@@ -8,8 +8,8 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     let needed = scan_in_place(lane, (view.n_slots + GROUP - 1u) / GROUP);
     if lane == 0u {
         let n = min(needed, view.candidate_capacity);
-        atomicStore(&counters.candidates_needed, needed);
-        atomicStore(&counters.candidates, n);
+        counters.candidates_needed = needed;
+        counters.candidates = n;
         dispatch.candidates_x = (n + GROUP - 1u) / GROUP;
         dispatch.candidates_y = 1u;
         dispatch.candidates_z = 1u;

@@ -17,36 +17,27 @@ struct ViewBlock {
     min_z1: vec2<f32>,
     max_z1: vec2<f32>,
     stretch_px: vec2<f32>,
-    exposure_slot: u32,
+    has_exposure: u32,
     l1_weight: f32,
     ray_corner: vec4<f32>,
     ray_right: vec4<f32>,
     ray_down: vec4<f32>,
+    gain: vec4<f32>,
+    bias: vec4<f32>,
     ssim_weight: f32,
-    depth_scale: f32,
+    depth_weight: f32,
     isotropy_weight: f32,
-    exposure_weight: f32,
+    confidence_sum: f32,
     offset_rate: f32,
     log_scale_rate: f32,
     rotation_rate: f32,
     opacity_rate: f32,
     color_rate: f32,
     background_rate: f32,
-    exposure_rate: f32,
+    spare: u32,
     background_step: u32,
 }
 @group(0) @binding(0) var<uniform> view: ViewBlock;
-
-struct Counters {
-    candidates_needed: atomic<u32>,
-    candidates: atomic<u32>,
-    visible: atomic<u32>,
-    entries_needed: atomic<u32>,
-    pairs_needed: atomic<u32>,
-    pairs: atomic<u32>,
-    spare_a: u32,
-    spare_b: u32,
-}
 
 struct IndirectGroups {
     candidates_x: u32,

@@ -1,5 +1,7 @@
 //! How large a backend is: fixed before it starts.
 
+use super::{TrainingView, View};
+
 /// Sizes fixed at construction; a backend's memory follows from them alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacities {
@@ -78,6 +80,30 @@ impl Capacities {
             Some((field, value, bound)) => Err(CapacityError { field, value, bound }),
             None => Ok(self),
         }
+    }
+
+    /// Whether a view is within the capacities and its numbers are usable.
+    pub fn fits(&self, view: &View) -> bool {
+        let camera = &view.camera;
+        let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
+        (1..=self.image_width_px).contains(&camera.width)
+            && (1..=self.image_height_px).contains(&camera.height)
+            && usize::from(view.chunk_row) < self.chunk_rows
+            && numbers.iter().all(|v| v.is_finite())
+            && camera.fx > 0.0
+            && camera.fy > 0.0
+            && view.camera_from_map.translation.vector.iter().all(|v| v.is_finite())
+            && view.camera_from_map.rotation.coords.iter().all(|v| v.is_finite())
+    }
+
+    /// Whether a training view is within the capacities and all its parts have its size.
+    pub fn fits_training(&self, training: &TrainingView<'_>) -> bool {
+        let n_pixels = training.view.n_pixels();
+        self.fits(&training.view)
+            && n_pixels <= self.training_pixels
+            && training.target.n_pixels() == n_pixels
+            && training.depth.is_none_or(|d| d.depth_m.len() == n_pixels && d.confidence.len() == n_pixels)
+            && training.exposure_slot.is_none_or(|slot| (slot as usize) < self.exposure_slots)
     }
 }
 

@@ -4,6 +4,10 @@
 pub const TILE_PX: u32 = 16;
 /// Side of a block, px: what one invocation blends.
 pub const BLOCK_PX: u32 = 4;
+/// Blocks along the side of a tile.
+pub const BLOCKS_PER_SIDE: u32 = TILE_PX / BLOCK_PX;
+/// Blocks of a tile, one bit each.
+pub const TILE_BLOCKS: u32 = BLOCKS_PER_SIDE * BLOCKS_PER_SIDE;
 /// Most rows (or columns) of tiles.
 pub const MAX_TILE_ROWS: u32 = 256;
 /// Trained numbers per Gaussian.
@@ -43,6 +47,8 @@ pub const BAND_STARTS_M: [f32; N_LEVELS as usize] = [0.0, 20.0, 40.0, 80.0, 160.
 
 /// Invocations of the kernels that take one Gaussian, pixel or slot each.
 pub const GROUP: u32 = 256;
+/// Invocations of the kernels that list the pairs of one tile.
+pub const TILE_GROUP: u32 = 64;
 /// Invocations of the kernels that take one block of pixels each: four tiles.
 pub const BLEND_GROUP: u32 = 64;
 /// Pieces that a list is cut into where every invocation walks one piece in order (sorting).
@@ -68,6 +74,8 @@ pub enum Value {
 pub const ALL: &[(&str, Value)] = &[
     ("TILE_PX", Value::U32(TILE_PX)),
     ("BLOCK_PX", Value::U32(BLOCK_PX)),
+    ("BLOCKS_PER_SIDE", Value::U32(BLOCKS_PER_SIDE)),
+    ("TILE_BLOCKS", Value::U32(TILE_BLOCKS)),
     ("MAX_TILE_ROWS", Value::U32(MAX_TILE_ROWS)),
     ("N_PARAMS", Value::U32(N_PARAMS)),
     ("N_SPLAT_GRADS", Value::U32(N_SPLAT_GRADS)),
@@ -87,6 +95,7 @@ pub const ALL: &[(&str, Value)] = &[
     ("BAND_OVERLAP_RATIO", Value::F32(BAND_OVERLAP_RATIO)),
     ("BAND_STARTS_M", Value::F32s(&BAND_STARTS_M)),
     ("GROUP", Value::U32(GROUP)),
+    ("TILE_GROUP", Value::U32(TILE_GROUP)),
     ("BLEND_GROUP", Value::U32(BLEND_GROUP)),
     ("SORT_PIECES", Value::U32(SORT_PIECES)),
     ("DIGIT_BITS", Value::U32(DIGIT_BITS)),

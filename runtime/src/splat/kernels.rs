@@ -4,7 +4,7 @@
 //! file depends on nothing but its constants. Binding 0 of every kernel is the uniform block `view`; the table
 //! lists what follows.
 
-use super::kernel_constants::{self as constants, BLEND_GROUP, GROUP};
+use super::kernel_constants::{self as constants, BLEND_GROUP, DIGITS, GROUP, SORT_PIECES, TILE_GROUP};
 
 /// How a kernel touches a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,10 +69,51 @@ macro_rules! kernels {
 
 kernels! {
     /// Which Gaussians of each slot may be in view.
-    Cull = "cull", GROUP, ["anchor", "lod", "scan"],
+    Cull = "cull", GROUP, ["anchor", "lod", "group_scan", "scan"],
         [read anchors, read params, read keyframes, write visible_bits, write group_totals];
     /// Where each workgroup's candidates begin, and how many there are.
-    ScanCandidates = "scan_candidates", GROUP, ["scan"], [write group_totals, write counters, write dispatch];
+    ScanCandidates = "scan_candidates", GROUP, ["counters", "group_scan", "scan"],
+        [write group_totals, write counters, write dispatch];
+    /// Gaussians that may be in view, ascending.
+    ListCandidates = "list_candidates", GROUP, ["group_scan", "scan"],
+        [read visible_bits, read group_totals, write candidates];
+    /// Numbers of every candidate as they are decoded; a learned decoder adds to them.
+    GatherParams = "gather_params", GROUP, ["counters"],
+        [read params, read candidates, read counters, write effective];
+    /// Splat and sort key of every candidate.
+    MakeSplats = "make_splats", GROUP,
+        ["counters_atomic", "anchor", "lod", "decode", "effective", "project", "splat"],
+        [read anchors, read keyframes, read candidates, read effective, write counters, write splats, write keys,
+         write order];
+    /// How often each digit occurs in each piece of the keys.
+    SortCount = "sort_count", GROUP, ["counters"], [read digit, read counters, read keys, write digit_counts];
+    /// Where each piece's keys begin within their digit.
+    SortScan = "sort_scan", GROUP, ["group_scan", "scan"], [write digit_counts, write digit_totals];
+    /// Moves the keys.
+    SortScatter = "sort_scatter", GROUP, ["counters", "group_scan", "scan"],
+        [read digit, read counters, read keys, read order, write digit_counts, read digit_totals, write next_keys,
+         write next_order];
+    /// How many splats meet a row of tiles.
+    CountEntries = "count_entries", GROUP, ["counters", "splat", "group_scan", "scan"],
+        [read counters, read order, read splats, write entry_offsets, write entry_starts];
+    /// Where each row of tiles begins in the list of entries.
+    ScanEntries = "scan_entries", GROUP, ["counters", "group_scan", "scan"], [write entry_starts, write counters];
+    /// Splats that meet each row of tiles, by depth.
+    ListEntries = "list_entries", GROUP, ["counters", "splat", "ellipse", "entry"],
+        [read counters, read order, read splats, read entry_offsets, read entry_starts, write entries];
+    /// How many entries meet a tile.
+    CountPairs = "count_pairs", TILE_GROUP, ["entry", "tile_scan", "scan"],
+        [read entry_starts, read entries, write pair_offsets, write tile_starts];
+    /// Where each tile begins in the list of pairs.
+    ScanPairs = "scan_pairs", GROUP, ["counters", "group_scan", "scan"], [write tile_starts, write counters];
+    /// Splats that meet each tile, by depth, with the blocks that they touch.
+    ListPairs = "list_pairs", TILE_GROUP, ["counters_atomic", "splat", "ellipse", "entry", "pair"],
+        [read splats, read entry_starts, read entries, read pair_offsets, read tile_starts, write pairs,
+         write counters];
+    /// Front-to-back blending over nothing.
+    Blend = "blend", BLEND_GROUP, ["splat", "pair", "hit"], [read splats, read tile_starts, read pairs, write planes];
+    /// Puts the background behind the picture.
+    ComposeSky = "compose_sky", GROUP, ["sky"], [read texels, write planes];
 }
 
 impl Kernel {
@@ -93,4 +134,6 @@ impl KernelSpec {
     }
 }
 
+const _: () =
+    assert!(DIGITS == GROUP && SORT_PIECES.is_multiple_of(GROUP), "sorting has an invocation per digit and piece");
 const _: () = assert!(BLEND_GROUP <= 256 && GROUP <= 256, "devices promise no more than 256 invocations");

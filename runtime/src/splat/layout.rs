@@ -40,8 +40,8 @@ pub struct ViewBlock {
     pub max_z1: [f32; 2],
     /// Largest length of a row of the projection's Jacobian at z = 1, px.
     pub stretch_px: [f32; 2],
-    /// Exposure slot, all ones for none.
-    pub exposure_slot: u32,
+    /// 1 when there is an exposure.
+    pub has_exposure: u32,
     /// Weight of the mean absolute color difference.
     pub l1_weight: f32,
     /// Ray of pixel coordinate (0, 0) in map axes; the fourth is unused.
@@ -50,14 +50,18 @@ pub struct ViewBlock {
     pub ray_right: [f32; 4],
     /// Change of the ray per px down.
     pub ray_down: [f32; 4],
+    /// Factor of red, green, blue before they are compared; the fourth is unused.
+    pub gain: [f32; 4],
+    /// What is then added; the fourth is unused.
+    pub bias: [f32; 4],
     /// Weight of `1 - SSIM`.
     pub ssim_weight: f32,
-    /// Weight of the depth difference over the sum of the confidences.
-    pub depth_scale: f32,
+    /// Weight of the mean depth difference, per m.
+    pub depth_weight: f32,
     /// Weight of the mean anisotropy.
     pub isotropy_weight: f32,
-    /// Weight of the exposure's deviation.
-    pub exposure_weight: f32,
+    /// Confidences of the depth target, summed; 0 for none.
+    pub confidence_sum: f32,
     /// Adam step size of offsets.
     pub offset_rate: f32,
     /// Adam step size of logarithms of scales.
@@ -70,8 +74,8 @@ pub struct ViewBlock {
     pub color_rate: f32,
     /// Adam step size of background texels.
     pub background_rate: f32,
-    /// Adam step size of exposures.
-    pub exposure_rate: f32,
+    /// Unused.
+    pub spare: u32,
     /// Adam steps that the background's chunk row has taken, this one included.
     pub background_step: u32,
 }
@@ -144,4 +148,38 @@ pub struct IndirectGroups {
     pub candidates_z: u32,
     /// Unused.
     pub spare: u32,
+}
+
+/// A Gaussian as it is blended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct Splat {
+    /// Mean, px.
+    pub mean_x: f32,
+    /// Mean, px.
+    pub mean_y: f32,
+    /// Binary logarithm of the opacity.
+    pub log2_opacity: f32,
+    /// Depth along the optical axis, m.
+    pub depth_m: f32,
+    /// Of `log2 alpha = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity`.
+    pub conic_xx: f32,
+    /// The same, xy.
+    pub conic_xy: f32,
+    /// The same, yy.
+    pub conic_yy: f32,
+    /// First and last pixel row of the box around the ellipse, 16 bits each.
+    pub rows_px: u32,
+    /// Red.
+    pub red: f32,
+    /// Green.
+    pub green: f32,
+    /// Blue.
+    pub blue: f32,
+    /// First and last pixel column of that box, 16 bits each.
+    pub columns_px: u32,
+    /// Half width of that box, px.
+    pub extent_x: f32,
+    /// Half height of that box, px.
+    pub extent_y: f32,
 }

@@ -14,6 +14,7 @@ pub mod kernel_constants;
 pub mod kernels;
 pub mod layout;
 pub mod program;
+pub mod wgpu;
 mod training;
 
 pub use background::{

@@ -3,10 +3,10 @@
 //! Stages are static: which buffers a kernel is bound to never changes, so an executor prepares everything when it
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
-use super::kernel_constants::{BLOCK_PX, GROUP, N_PARAMS, TILE_PX};
+use super::kernel_constants::{BLOCK_PX, DIGITS, GROUP, N_PARAMS, SORT_PIECES, TILE_GROUP, TILE_PX};
 use super::kernels::Kernel;
-use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, ViewBlock};
-use super::{Capacities, MemoryRow};
+use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
+use super::{BACKGROUND_TEXELS, Capacities, MemoryRow};
 
 /// Declares the buffers: the enum, its names and how large each is.
 macro_rules! buffers {
@@ -50,29 +50,92 @@ buffers! {
     VisibleBits = "splat.device.visible_bits", |s| s.slots, 4;
     /// Candidates of each workgroup of `cull`, then where they begin.
     GroupTotals = "splat.device.group_totals", |s| s.slots.div_ceil(GROUP as usize), 4;
+    /// Gaussians that may be in view (`slot * k + i`), ascending.
+    Candidates = "splat.device.candidates", |s| s.candidates, 4;
+    /// Numbers of the candidates as they are decoded, number by number.
+    Effective = "splat.device.effective", |s| s.candidates * N_PARAMS as usize, 4;
+    /// Splat of each candidate.
+    Splats = "splat.device.splats", |s| s.candidates, size_of::<Splat>();
+    /// Sort keys.
+    Keys = "splat.device.keys", |s| s.candidates, 4;
+    /// Sort keys after every other pass.
+    KeysScratch = "splat.device.keys_scratch", |s| s.candidates, 4;
+    /// Candidates by depth, nearest first; those that do not meet the picture come last.
+    Order = "splat.device.order", |s| s.candidates, 4;
+    /// The order after every other pass.
+    OrderScratch = "splat.device.order_scratch", |s| s.candidates, 4;
+    /// The number 0.
+    Digit0 = "splat.device.digit_0", |_| 1, 4;
+    /// The number 1.
+    Digit1 = "splat.device.digit_1", |_| 1, 4;
+    /// The number 2.
+    Digit2 = "splat.device.digit_2", |_| 1, 4;
+    /// The number 3.
+    Digit3 = "splat.device.digit_3", |_| 1, 4;
+    /// How often each digit occurs in each piece of the keys.
+    DigitCounts = "splat.device.digit_counts", |_| (DIGITS * SORT_PIECES) as usize, 4;
+    /// How often each digit occurs.
+    DigitTotals = "splat.device.digit_totals", |_| DIGITS as usize, 4;
+    /// Where each piece of the depth order begins within the entries of each row of tiles.
+    EntryOffsets = "splat.device.entry_offsets", |s| s.tile_rows * GROUP as usize, 4;
+    /// Where each row of tiles begins in the entries, and where the last one ends.
+    EntryStarts = "splat.device.entry_starts", |s| s.tile_rows + 1, 4;
+    /// Splats that meet each row of tiles.
+    Entries = "splat.device.entries", |s| s.entries, 8;
+    /// Where each piece of a row's entries begins within the pairs of each tile.
+    PairOffsets = "splat.device.pair_offsets", |s| s.tiles * TILE_GROUP as usize, 4;
+    /// Where each tile begins in the pairs, and where the last one ends.
+    TileStarts = "splat.device.tile_starts", |s| s.tiles + 1, 4;
+    /// Splats that meet each tile.
+    Pairs = "splat.device.pairs", |s| s.pairs, 8;
+    /// Red, green, blue, depth, transmittance of the picture, plane by plane.
+    Planes = "splat.device.planes", |s| s.pixels * N_PLANES, 4;
+    /// Backgrounds of all chunk rows.
+    Texels = "splat.device.texels", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
 }
+
+/// Red, green, blue, depth, transmittance.
+pub const N_PLANES: usize = 5;
+/// Numbers of one background table.
+pub const TEXEL_NUMBERS: usize = 3 * BACKGROUND_TEXELS;
 
 /// What sizes follow from.
 struct Sizes {
     slots: usize,
     gaussians: usize,
     keyframe_rows: usize,
+    candidates: usize,
+    tile_rows: usize,
+    tiles: usize,
+    entries: usize,
+    pairs: usize,
+    pixels: usize,
+    chunk_rows: usize,
 }
 
 impl Sizes {
     fn of(capacities: &Capacities) -> Self {
+        let [width, height] = [capacities.image_width_px, capacities.image_height_px].map(|v| v as usize);
+        let [columns, rows] = [width, height].map(|v| v.div_ceil(TILE_PX as usize));
         Self {
             slots: capacities.anchors,
             gaussians: capacities.anchors * capacities.gaussians_per_anchor,
             keyframe_rows: capacities.keyframe_rows,
+            candidates: capacities.visible_gaussians,
+            tile_rows: rows,
+            tiles: columns * rows,
+            entries: capacities.row_entries,
+            pairs: capacities.pairs,
+            pixels: width * height,
+            chunk_rows: capacities.chunk_rows,
         }
     }
 }
 
 /// Elements so that the bytes are a multiple of 16.
 fn padded(elements: usize, bytes: usize) -> usize {
-    let unit = (16 / bytes.clamp(1, 16)).max(1);
-    elements.max(1).next_multiple_of(unit)
+    let factors_of_two = bytes.trailing_zeros().min(4);
+    elements.max(1).next_multiple_of(16 >> factors_of_two)
 }
 
 impl Buffer {
@@ -160,18 +223,24 @@ impl Stage {
 /// A part of a run; an executor runs several in one submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// From anchors to the picture.
-    Draw,
+    /// From anchors to splats.
+    Project,
+    /// Splats by depth.
+    Sort,
+    /// From splats in depth order to the picture.
+    Blend,
 }
 
 impl Part {
     /// All parts in the order of their numbers.
-    pub const ALL: &'static [Self] = &[Self::Draw];
+    pub const ALL: &'static [Self] = &[Self::Project, Self::Sort, Self::Blend];
 
     /// The part's dispatches in order.
     pub fn stages(self) -> &'static [Stage] {
         match self {
-            Self::Draw => DRAW,
+            Self::Project => PROJECT,
+            Self::Sort => SORT.as_flattened(),
+            Self::Blend => BLEND,
         }
     }
 }
@@ -182,8 +251,72 @@ const fn stage(kernel: Kernel, extent: Extent, buffers: &'static [Buffer]) -> St
 
 use Buffer as B;
 
-/// From anchors to the picture.
-const DRAW: &[Stage] = &[
+/// An invocation per candidate.
+const CANDIDATES: Extent = Extent::Indirect(0);
+
+/// Sorts by one digit.
+const fn sort_pass(digit: &'static [Buffer; 4], scatter: &'static [Buffer; 8]) -> [Stage; 3] {
+    [
+        stage(Kernel::SortCount, Extent::Groups(SORT_PIECES / GROUP), digit),
+        stage(Kernel::SortScan, Extent::Groups(DIGITS), &[B::DigitCounts, B::DigitTotals]),
+        stage(Kernel::SortScatter, Extent::Groups(SORT_PIECES / GROUP), scatter),
+    ]
+}
+
+macro_rules! sort_pass {
+    ($digit:ident, $keys:ident, $order:ident => $next_keys:ident, $next_order:ident) => {
+        sort_pass(
+            &[B::$digit, B::Counters, B::$keys, B::DigitCounts],
+            &[
+                B::$digit,
+                B::Counters,
+                B::$keys,
+                B::$order,
+                B::DigitCounts,
+                B::DigitTotals,
+                B::$next_keys,
+                B::$next_order,
+            ],
+        )
+    };
+}
+
+const SORT: [[Stage; 3]; 4] = [
+    sort_pass!(Digit0, Keys, Order => KeysScratch, OrderScratch),
+    sort_pass!(Digit1, KeysScratch, OrderScratch => Keys, Order),
+    sort_pass!(Digit2, Keys, Order => KeysScratch, OrderScratch),
+    sort_pass!(Digit3, KeysScratch, OrderScratch => Keys, Order),
+];
+
+/// From anchors to candidates, their numbers and their splats.
+const PROJECT: &[Stage] = &[
     stage(Kernel::Cull, Extent::Slots, &[B::Anchors, B::Params, B::Keyframes, B::VisibleBits, B::GroupTotals]),
     stage(Kernel::ScanCandidates, Extent::Groups(1), &[B::GroupTotals, B::Counters, B::Dispatch]),
+    stage(Kernel::ListCandidates, Extent::Slots, &[B::VisibleBits, B::GroupTotals, B::Candidates]),
+    stage(Kernel::GatherParams, CANDIDATES, &[B::Params, B::Candidates, B::Counters, B::Effective]),
+    stage(
+        Kernel::MakeSplats,
+        CANDIDATES,
+        &[B::Anchors, B::Keyframes, B::Candidates, B::Effective, B::Counters, B::Splats, B::Keys, B::Order],
+    ),
+];
+
+/// From splats in depth order to the picture.
+const BLEND: &[Stage] = &[
+    stage(Kernel::CountEntries, Extent::TileRows, &[B::Counters, B::Order, B::Splats, B::EntryOffsets, B::EntryStarts]),
+    stage(Kernel::ScanEntries, Extent::Groups(1), &[B::EntryStarts, B::Counters]),
+    stage(
+        Kernel::ListEntries,
+        Extent::TileRows,
+        &[B::Counters, B::Order, B::Splats, B::EntryOffsets, B::EntryStarts, B::Entries],
+    ),
+    stage(Kernel::CountPairs, Extent::Tiles, &[B::EntryStarts, B::Entries, B::PairOffsets, B::TileStarts]),
+    stage(Kernel::ScanPairs, Extent::Groups(1), &[B::TileStarts, B::Counters]),
+    stage(
+        Kernel::ListPairs,
+        Extent::Tiles,
+        &[B::Splats, B::EntryStarts, B::Entries, B::PairOffsets, B::TileStarts, B::Pairs, B::Counters],
+    ),
+    stage(Kernel::Blend, Extent::Blocks, &[B::Splats, B::TileStarts, B::Pairs, B::Planes]),
+    stage(Kernel::ComposeSky, Extent::Pixels, &[B::Texels, B::Planes]),
 ];

@@ -127,28 +127,6 @@ impl CpuBackend {
         ]
     }
 
-    fn fits(&self, view: &View) -> bool {
-        let camera = &view.camera;
-        let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
-        (1..=self.capacities.image_width_px).contains(&camera.width)
-            && (1..=self.capacities.image_height_px).contains(&camera.height)
-            && usize::from(view.chunk_row) < self.capacities.chunk_rows
-            && numbers.iter().all(|v| v.is_finite())
-            && camera.fx > 0.0
-            && camera.fy > 0.0
-            && view.camera_from_map.translation.vector.iter().all(|v| v.is_finite())
-            && view.camera_from_map.rotation.coords.iter().all(|v| v.is_finite())
-    }
-
-    fn fits_training(&self, training: &TrainingView<'_>) -> bool {
-        let n_pixels = training.view.n_pixels();
-        self.fits(&training.view)
-            && n_pixels <= self.capacities.training_pixels
-            && training.target.n_pixels() == n_pixels
-            && training.depth.is_none_or(|d| d.depth_m.len() == n_pixels && d.confidence.len() == n_pixels)
-            && training.exposure_slot.is_none_or(|slot| (slot as usize) < self.capacities.exposure_slots)
-    }
-
     fn draw(&mut self, view: &View) -> Drawn {
         let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
         let texels = self.sky.row(view.chunk_row).unwrap_or_default();
@@ -209,7 +187,7 @@ impl CpuBackend {
         settings: &StepSettings,
         params: &mut [[f32; N_PARAMS]],
     ) -> Option<(StepReport, &[[f32; 3]])> {
-        if !self.fits_training(training) || params.len() != self.anchors.params.len() {
+        if !self.capacities.fits_training(training) || params.len() != self.anchors.params.len() {
             return None;
         }
         params.fill([0.0; N_PARAMS]);
@@ -229,7 +207,7 @@ impl CpuBackend {
         params: &mut [[f32; N_PARAMS]],
     ) -> Option<&[[f32; 3]]> {
         let n_pixels = view.n_pixels();
-        let fits = self.fits(view) && n_pixels <= self.capacities.training_pixels;
+        let fits = self.capacities.fits(view) && n_pixels <= self.capacities.training_pixels;
         if !fits || upstream.iter().any(|p| p.len() != n_pixels) || params.len() != self.anchors.params.len() {
             return None;
         }
@@ -348,7 +326,7 @@ impl SplatBackend for CpuBackend {
     fn render(&mut self, view: &View, target: RenderTarget<'_>) -> RenderStats {
         let n_pixels = view.n_pixels();
         let lengths = [target.rgb.len(), target.depth_m.len(), target.transmittance.len()];
-        if !self.fits(view) || lengths != [n_pixels; 3] {
+        if !self.capacities.fits(view) || lengths != [n_pixels; 3] {
             return RenderStats { refused: true, ..RenderStats::default() };
         }
         let drawn = self.draw(view);
@@ -362,7 +340,7 @@ impl SplatBackend for CpuBackend {
     }
 
     fn train_step(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
-        if !self.fits_training(training) {
+        if !self.capacities.fits_training(training) {
             return refused_step();
         }
         let mut pass = self.pass(training, settings, None);

@@ -65,7 +65,7 @@ pub struct Frustum {
     center_px: [f32; 2],
     size_px: [f32; 2],
     /// Largest length of a row of the projection's Jacobian at z = 1, px.
-    stretch_px: [f32; 2],
+    pub stretch_px: [f32; 2],
 }
 
 impl Frustum {

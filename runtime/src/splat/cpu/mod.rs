@@ -19,20 +19,20 @@ mod backend;
 mod bin;
 mod blend;
 mod blend_backward;
-mod cull;
+pub(super) mod cull;
 pub mod decode;
 mod decoders;
 mod draw;
-mod exposures;
+pub(super) mod exposures;
 mod features;
 mod grid;
 pub mod lane;
-mod loss;
+pub(super) mod loss;
 mod packet;
 pub mod project;
 mod reduce;
 mod simd;
-mod sky;
+pub(super) mod sky;
 mod sort;
 mod splats;
 mod splatting;
@@ -40,7 +40,7 @@ mod ssim;
 mod update;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub use backend::{CpuBackend, OpenError};
 pub use simd::SimdLevel;

@@ -64,7 +64,7 @@ impl fmt::Display for SimdLevel {
 
 /// Runs kernels on one level.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Dispatch {
+pub struct Dispatch {
     arch: Arch,
     /// The level.
     pub level: SimdLevel,

@@ -34,7 +34,7 @@ pub const SKY_ROW_BYTES: usize = 3 * size_of::<Table>() + size_of::<u32>();
 pub const SKY_GRADIENT_BYTES: usize = SKY_BANDS * size_of::<Table>();
 
 /// A new background is this grey.
-const INITIAL_COLOR: [f32; 3] = [0.5; 3];
+pub const INITIAL_COLOR: [f32; 3] = [0.5; 3];
 
 impl Sky {
     /// Grey tables.
@@ -143,9 +143,12 @@ impl Sky {
 /// Directions of a view's pixels in map axes: `corner + x * right + y * down`, x and y in pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Rays {
-    corner: [f64; 3],
-    right: [f64; 3],
-    down: [f64; 3],
+    /// Ray of the corner of the picture.
+    pub corner: [f64; 3],
+    /// Change per px to the right.
+    pub right: [f64; 3],
+    /// Change per px down.
+    pub down: [f64; 3],
 }
 
 impl Rays {

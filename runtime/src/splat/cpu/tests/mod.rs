@@ -1,11 +1,11 @@
 //! Tests of the whole chain.
 
 mod behavior;
-mod compare;
+pub mod compare;
 mod differences;
 mod fitting;
-mod golden;
+pub mod golden;
 mod lanes;
 mod loss;
 mod reference;
-mod scenes;
+pub mod scenes;

@@ -83,7 +83,7 @@ pub struct Picture {
 }
 
 /// Renders into fresh memory, with sentinels on both sides that must survive.
-pub fn render(backend: &mut CpuBackend, view: &View) -> Picture {
+pub fn render(backend: &mut dyn SplatBackend, view: &View) -> Picture {
     const SENTINEL: f32 = -77.0;
     const GUARD: usize = 32;
     let n = view.n_pixels();

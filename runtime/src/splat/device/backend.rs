@@ -1,0 +1,278 @@
+//! The backend of a device: host bookkeeping around one executor.
+
+use super::executor::{DeviceError, Executor};
+use super::slots::Slots;
+use super::view::{place, view_block};
+use crate::splat::cpu::exposures::Exposures;
+use crate::splat::cpu::sky::INITIAL_COLOR;
+use crate::splat::layout::{Counters, DeviceAnchor, KeyframeBlock, ViewBlock};
+use crate::splat::program::{Buffer, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
+use crate::splat::{
+    AnchorFeature, AnchorHeader, BACKGROUND_TEXELS, Capacities, Exposure, GaussianParams, KeyframePlacement, MemoryRow,
+    Overflow, RenderStats, RenderTarget, SplatBackend, StepReport, StepSettings, TrainingView, View,
+};
+use core::cell::RefCell;
+use zerocopy::IntoBytes;
+
+/// Splatting on a device.
+///
+/// When the device is lost, [`failure`](Self::failure) says why, every view is refused and reads fail; the caller
+/// rebuilds the map on another backend.
+pub struct DeviceBackend<E> {
+    pub(super) capacities: Capacities,
+    pub(super) device: Device<E>,
+    slots: Slots,
+    placements: Vec<KeyframePlacement>,
+    keyframes: Vec<KeyframeBlock>,
+    pub(super) exposures: Exposures,
+    /// Red, green, blue on their way from the device.
+    planes: Vec<f32>,
+    /// Zeros of one slot.
+    zeros: Vec<u8>,
+}
+
+/// An executor, and what went wrong with it first.
+pub(super) struct Device<E> {
+    executor: RefCell<E>,
+    failure: RefCell<Option<DeviceError>>,
+}
+
+impl<E: Executor> Device<E> {
+    /// Does something unless the device has failed; false, and the reason is kept, when it fails now.
+    pub fn call(&self, action: impl FnOnce(&mut E) -> Result<(), DeviceError>) -> bool {
+        if self.failure.borrow().is_some() {
+            return false;
+        }
+        match action(&mut self.executor.borrow_mut()) {
+            Ok(()) => true,
+            Err(error) => {
+                log::error!("{error}");
+                *self.failure.borrow_mut() = Some(error);
+                false
+            }
+        }
+    }
+}
+
+impl<E: Executor> DeviceBackend<E> {
+    /// A backend of these capacities on an executor that was opened for them.
+    ///
+    /// # Errors
+    /// What the executor says when the first numbers are uploaded.
+    pub fn new(capacities: Capacities, mut executor: E) -> Result<Self, DeviceError> {
+        for (digit, buffer) in [Buffer::Digit0, Buffer::Digit1, Buffer::Digit2, Buffer::Digit3].into_iter().enumerate()
+        {
+            executor.upload(buffer, 0, (digit as u32).as_bytes())?;
+        }
+        let texels = [INITIAL_COLOR; BACKGROUND_TEXELS];
+        for row in 0..capacities.chunk_rows {
+            executor.upload(Buffer::Texels, row * size_of_val(&texels), texels.as_bytes())?;
+        }
+        let k = capacities.gaussians_per_anchor;
+        let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
+        Ok(Self {
+            device: Device { executor: RefCell::new(executor), failure: RefCell::new(None) },
+            slots: Slots::new(&capacities),
+            placements: vec![KeyframePlacement::identity(); capacities.keyframe_rows],
+            keyframes: vec![KeyframeBlock::default(); capacities.keyframe_rows],
+            exposures: Exposures::new(capacities.exposure_slots),
+            planes: vec![0.0; 3 * n_pixels],
+            zeros: vec![0; k * size_of::<GaussianParams>()],
+            capacities,
+        })
+    }
+
+    /// Why the device stopped working, if it did.
+    pub fn failure(&self) -> Option<String> {
+        self.device.failure.borrow().as_ref().map(ToString::to_string)
+    }
+
+    /// Name of the device.
+    pub fn device_name(&self) -> String {
+        self.device.executor.borrow().device_name().to_owned()
+    }
+
+    /// Bytes of device memory in use.
+    pub fn device_bytes(&self) -> usize {
+        self.device.executor.borrow().device_bytes()
+    }
+
+    /// What a device backend of these capacities takes on the device, row by row.
+    pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; Buffer::ALL.len()] {
+        buffer_plan(capacities)
+    }
+
+    pub(super) fn block(&self, view: &View) -> ViewBlock {
+        view_block(&self.capacities, view, self.slots.end() as u32)
+    }
+
+    pub(super) fn work(&self, view: &View) -> WorkSize {
+        WorkSize { slots: self.slots.end() as u32, width_px: view.camera.width, height_px: view.camera.height }
+    }
+
+    /// Uploads what the kernels need of a view, and runs the parts.
+    pub(super) fn run(&mut self, view: &View, block: &ViewBlock, parts: &[Part]) -> bool {
+        place(view, &self.placements, &mut self.keyframes);
+        let (work, keyframes) = (self.work(view), self.keyframes.as_bytes());
+        self.device.call(|e| {
+            e.upload(Buffer::View, 0, block.as_bytes())?;
+            e.upload(Buffer::Keyframes, 0, keyframes)?;
+            e.clear(Buffer::Counters, 0, size_of::<Counters>())?;
+            e.run(parts, &work)
+        })
+    }
+
+    /// Waits for the last run and reads its counters.
+    pub(super) fn stats(&self) -> Option<RenderStats> {
+        let mut counters = Counters::default();
+        let read = self.device.call(|e| e.download(Buffer::Counters, 0, counters.as_mut_bytes()));
+        read.then(|| stats_of(&counters, &self.capacities))
+    }
+}
+
+/// The parts of a run that draw.
+pub(super) const DRAW: [Part; 3] = [Part::Project, Part::Sort, Part::Blend];
+
+pub(super) fn refused() -> RenderStats {
+    RenderStats { refused: true, ..RenderStats::default() }
+}
+
+fn stats_of(counters: &Counters, capacities: &Capacities) -> RenderStats {
+    let over = |needed: u32, capacity: usize| needed.saturating_sub(capacity as u32);
+    RenderStats {
+        visible: counters.visible,
+        row_entries: counters.entries_needed.min(capacities.row_entries as u32),
+        pairs: counters.pairs,
+        overflow: Overflow {
+            visible_gaussians: over(counters.candidates_needed, capacities.visible_gaussians),
+            row_entries: over(counters.entries_needed, capacities.row_entries),
+            pairs: over(counters.pairs_needed, capacities.pairs),
+        },
+        refused: false,
+    }
+}
+
+impl<E: Executor> SplatBackend for DeviceBackend<E> {
+    fn capacities(&self) -> &Capacities {
+        &self.capacities
+    }
+
+    fn write_anchors(&mut self, slots: &[u32], headers: &[AnchorHeader], params: &[GaussianParams]) -> usize {
+        let mut refused = slots.len();
+        for ((&slot, header), params) in
+            slots.iter().zip(headers).zip(params.chunks(self.capacities.gaussians_per_anchor))
+        {
+            let Some(anchor) = self.slots.write(&self.capacities, slot, header, params) else { continue };
+            let slot = slot as usize;
+            let written = self.device.call(|e| {
+                e.upload(Buffer::Anchors, slot * size_of::<DeviceAnchor>(), anchor.as_bytes())?;
+                e.upload(Buffer::Params, slot * self.zeros.len(), params.as_bytes())
+            });
+            refused -= usize::from(written);
+        }
+        refused
+    }
+
+    fn read_anchors(&self, slots: &[u32], headers: &mut [AnchorHeader], params: &mut [GaussianParams]) -> usize {
+        let mut missing = slots.len();
+        let k = self.capacities.gaussians_per_anchor;
+        for ((&slot, header), params) in slots.iter().zip(headers).zip(params.chunks_mut(k)) {
+            let Some(found) = self.slots.header(slot).filter(|_| params.len() == k) else { continue };
+            let at = slot as usize * self.zeros.len();
+            if self.device.call(|e| e.download(Buffer::Params, at, params.as_mut_bytes())) {
+                *header = *found;
+                missing -= 1;
+            }
+        }
+        missing
+    }
+
+    fn write_features(&mut self, slots: &[u32], _features: &[AnchorFeature]) -> usize {
+        slots.len()
+    }
+
+    fn read_features(&self, slots: &[u32], _features: &mut [AnchorFeature]) -> usize {
+        slots.len()
+    }
+
+    fn retire_anchors(&mut self, slots: &[u32]) -> usize {
+        let mut missing = 0;
+        for &slot in slots {
+            match self.slots.retire(slot) {
+                Some(anchor) => {
+                    let at = slot as usize * size_of::<DeviceAnchor>();
+                    self.device.call(|e| e.upload(Buffer::Anchors, at, anchor.as_bytes()));
+                }
+                None => missing += 1,
+            }
+        }
+        missing
+    }
+
+    fn set_keyframes(&mut self, first_row: u32, placements: &[KeyframePlacement]) -> usize {
+        let rows = self.placements.get_mut(first_row as usize..).unwrap_or_default();
+        let n = rows.len().min(placements.len());
+        rows[..n].copy_from_slice(&placements[..n]);
+        placements.len() - n
+    }
+
+    fn write_background(&mut self, chunk_row: u16, texels: &[[f32; 3]]) -> bool {
+        let row = usize::from(chunk_row);
+        let fits = row < self.capacities.chunk_rows && texels.len() == BACKGROUND_TEXELS;
+        if !fits || !texels.as_flattened().iter().all(|v| v.is_finite()) {
+            return false;
+        }
+        self.device.call(|e| e.upload(Buffer::Texels, row * size_of_val(texels), texels.as_bytes()))
+    }
+
+    fn read_background(&self, chunk_row: u16, texels: &mut [[f32; 3]]) -> bool {
+        let row = usize::from(chunk_row);
+        if row >= self.capacities.chunk_rows || texels.len() != BACKGROUND_TEXELS {
+            return false;
+        }
+        let at = row * TEXEL_NUMBERS * size_of::<f32>();
+        self.device.call(|e| e.download(Buffer::Texels, at, texels.as_mut_bytes()))
+    }
+
+    fn write_decoder(&mut self, _chunk_row: u16, _weights: &[f32]) -> bool {
+        false
+    }
+
+    fn read_decoder(&self, _chunk_row: u16, _weights: &mut [f32]) -> bool {
+        false
+    }
+
+    fn write_exposure(&mut self, slot: u32, exposure: Exposure) -> bool {
+        self.exposures.set(slot, exposure)
+    }
+
+    fn read_exposure(&self, slot: u32) -> Option<Exposure> {
+        self.exposures.get(slot)
+    }
+
+    fn render(&mut self, view: &View, target: RenderTarget<'_>) -> RenderStats {
+        let n = view.n_pixels();
+        let lengths = [target.rgb.len(), target.depth_m.len(), target.transmittance.len()];
+        if !self.capacities.fits(view) || lengths != [n; 3] || !self.run(view, &self.block(view), &DRAW) {
+            return refused();
+        }
+        let plane_bytes = n * size_of::<f32>();
+        let planes = &mut self.planes[..3 * n];
+        let read = self.device.call(|e| {
+            e.download(Buffer::Planes, 0, planes.as_mut_bytes())?;
+            e.download(Buffer::Planes, 3 * plane_bytes, target.depth_m.as_mut_bytes())?;
+            e.download(Buffer::Planes, 4 * plane_bytes, target.transmittance.as_mut_bytes())
+        });
+        let (red, rest) = planes.split_at(n);
+        let (green, blue) = rest.split_at(n);
+        for (((rgb, &r), &g), &b) in target.rgb.iter_mut().zip(red).zip(green).zip(blue) {
+            *rgb = [r, g, b];
+        }
+        self.stats().filter(|_| read).unwrap_or_else(refused)
+    }
+
+    fn train_step(&mut self, training: &TrainingView<'_>, _settings: &StepSettings) -> StepReport {
+        let _ = training;
+        StepReport { stats: refused(), ..StepReport::default() }
+    }
+}

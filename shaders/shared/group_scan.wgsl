@@ -1,0 +1,1 @@
+const SCAN_GROUP: u32 = GROUP;
