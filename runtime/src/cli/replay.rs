@@ -1,11 +1,13 @@
 //! `kilogs replay`: a recorded sequence through a capture process of its own.
 
 use super::CommonArgs;
+use crate::fit::poses_of;
 use crate::input::CameraChild;
-use crate::pipeline::{self, Pace, RunPlan};
+use crate::pipeline::{self, GivenPoses, Pace, RunPlan};
 use crate::run_error::RunError;
 use kilogs_camera::cli::{CameraError, parse_rate};
-use std::path::PathBuf;
+use kilogs_camera::source::{CameraDescription, PlaybackRange, Schedule};
+use std::path::{Path, PathBuf};
 
 /// Mapping iterations per keyframe in lock-step, unless told otherwise.
 pub const DEFAULT_ITERATIONS: u32 = 20;
@@ -13,7 +15,8 @@ pub const DEFAULT_ITERATIONS: u32 = 20;
 /// Options of `kilogs replay`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Examples:\n  kilogs replay ../shared/data/kitti04-full --camera kitti --out out/04\n  \
-    kilogs replay DATASET --camera camera.toml --live --rate 0.5 --out out/live")]
+    kilogs replay DATASET --camera camera.toml --live --rate 0.5 --out out/live\n  \
+    kilogs replay DATASET --camera kitti --poses DATASET/poses.txt --out out/given")]
 pub struct ReplayArgs {
     /// Folder in the layout of KITTI odometry.
     pub dataset: PathBuf,
@@ -47,6 +50,10 @@ pub struct ReplayArgs {
     /// Play this many one-way passes, to and fro, with ten standing frames at each turn.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub ping_pong: u64,
+    /// Map with these poses (KITTI's format, one line per image) instead of the tracked ones; the tracker still
+    /// chooses the keyframes. For telling errors of mapping from errors of tracking.
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
     /// What all tracking commands share.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -62,7 +69,18 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let pace = if args.live { Pace::Live } else { Pace::LockStep { iterations: args.iterations } };
     let mut plan = RunPlan::new(&args.common, description.format, pace, &args.out)?;
     plan.may_reverse = args.ping_pong > 1;
+    plan.given_poses = args.poses.as_deref().map(|poses| given_poses(args, poses, &description)).transpose()?;
     pipeline::run_with_child(plan, |service| CameraChild::start(camera_arguments(args, service)))
+}
+
+/// The pose of every frame that the capture process will send.
+fn given_poses(args: &ReplayArgs, poses: &Path, description: &CameraDescription) -> Result<GivenPoses, RunError> {
+    let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
+    let schedule = Schedule::new(description.images.len() as u64, &range)?;
+    let images: Vec<usize> = (0..schedule.n_steps()).map(|step| schedule.frame_index(step) as usize).collect();
+    let n_needed = images.iter().max().map_or(0, |last| last + 1);
+    let world_from_camera = poses_of(poses, &description.images, n_needed)?;
+    Ok(GivenPoses::new(images.iter().filter_map(|&image| world_from_camera.get(image).copied()).collect()))
 }
 
 /// Command line of the capture process.

@@ -138,19 +138,23 @@ pub fn prepare(
 }
 
 impl MapperLink {
-    /// Hands a keyframe over; live it is dropped, and counted, when the mapper is busy with two others.
+    /// Hands a keyframe over; live it is dropped, and counted, when the mapper is busy with two others. The tracker's
+    /// depths are multiplied by `points_scale` and left out without one.
     pub fn keyframe(
         &mut self,
         frame: &BorrowedFrame<'_>,
         report: &FrameReport,
-        tracker: &Tracker<'_>,
+        (tracker, points_scale): (&Tracker<'_>, Option<f32>),
         times: &mut StageTimes,
     ) {
         let Some(mut job) = self.take() else { return };
         job.is_held_out = false;
         job.points.clear();
-        let n_points = tracker.keyframe_points().len().min(job.points.capacity());
-        job.points.extend(tracker.keyframe_points().iter().take(n_points).copied());
+        if let Some(scale) = points_scale {
+            let n_points = tracker.keyframe_points().len().min(job.points.capacity());
+            let points = tracker.keyframe_points().iter().take(n_points);
+            job.points.extend(points.map(|point| KeyframePoint { depth_m: scale * point.depth_m, ..*point }));
+        }
         job.road = tracker.road_plane();
         self.send(job, frame, report, times);
     }

@@ -9,6 +9,7 @@
 //! ```
 
 mod finish;
+mod given_poses;
 mod mapping_thread;
 mod memory;
 mod odometry;
@@ -20,6 +21,7 @@ mod tally;
 mod tracking_thread;
 
 pub(crate) use finish::{Concluded, conclude};
+pub use given_poses::GivenPoses;
 pub(crate) use mapping_thread::MappingSummary;
 pub(crate) use memory::{manifest, mapper, store_settings};
 pub use plan::{Pace, RunPlan};

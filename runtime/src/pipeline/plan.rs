@@ -1,5 +1,6 @@
 //! What a run is going to do, checked before anything is started.
 
+use super::given_poses::GivenPoses;
 use crate::budget::{Budget, Plan, PlanInput};
 use crate::cli::CommonArgs;
 use crate::input::ServiceFormat;
@@ -9,6 +10,10 @@ use crate::splat::cpu::SimdLevel;
 use kilogs_camera::source::{PixelFormat, SourceFormat};
 use kilogs_core::camera::{Mounting, Pinhole};
 use std::path::{Path, PathBuf};
+
+/// Given views are inserted from images at least this wide, px, or as wide as they are: what is not inserted is not
+/// trained, and there is no vehicle to keep up with.
+const MIN_INSERTION_WIDTH_PX: f64 = 600.0;
 
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +50,8 @@ pub struct RunPlan {
     pub pace: Pace,
     /// The vehicle may drive backwards.
     pub may_reverse: bool,
+    /// Where the camera was, instead of what the tracker finds; a comparison, not a drive.
+    pub given_poses: Option<GivenPoses>,
     /// Folder for all outputs.
     pub out: PathBuf,
     /// Seed of everything random.
@@ -77,7 +84,8 @@ impl RunPlan {
         Self::of_parts(args, format, pace, out, (settings, budget, training_resolution))
     }
 
-    /// A run over views whose places are known: it trains up to native resolution, and needs no scale.
+    /// A run over views whose places are known: it trains up to native resolution, and needs no scale. `mapping.resolution`
+    /// is that of the insertion.
     ///
     /// # Errors
     /// [`RunError`] of configuration, budget or device.
@@ -88,7 +96,9 @@ impl RunPlan {
         max_gaussians: Option<usize>,
     ) -> Result<Self, RunError> {
         args.check_backend()?;
-        let settings = args.settings()?;
+        let mut settings = args.settings()?;
+        let resolution = &mut settings.mapping.mapper.resolution;
+        *resolution = resolution.max(MIN_INSERTION_WIDTH_PX / f64::from(format.camera.width)).min(1.0);
         let budget = args.budget()?;
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
         Self::of_parts(args, format, Pace::LockStep { iterations: 0 }, out, (settings, budget, 1.0))
@@ -117,6 +127,7 @@ impl RunPlan {
             n_frames: format.n_frames,
             pace,
             may_reverse: false,
+            given_poses: None,
             out: out.to_owned(),
             seed: args.seed,
             simd,

@@ -5,7 +5,7 @@ use super::mapping_thread::{self, MappingProgress, MappingSummary};
 use super::plan::RunPlan;
 use super::queue::{self, Received, Receiver};
 use super::record::Record;
-use super::tally::Tally;
+use super::tally::{ScaleSource, Tally};
 use super::tracking_thread::TrackingThread;
 use super::{memory, odometry};
 use crate::budget::{Row, Usage};
@@ -161,7 +161,8 @@ impl<'run> Supervisor<'run> {
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
-        let tally = Tally::default();
+        let scale_source = if plan.given_poses.is_some() { ScaleSource::GivenPoses } else { ScaleSource::GroundPlane };
+        let tally = Tally::with_scale_source(scale_source);
         Ok(Self {
             plan,
             folder,

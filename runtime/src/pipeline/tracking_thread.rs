@@ -1,5 +1,6 @@
 //! The tracking thread: from the shared memory to a pose, every frame, without taking memory.
 
+use super::given_poses::GivenPoses;
 use super::mapping_thread::MapperLink;
 use super::plan::RunPlan;
 use super::queue::Sender;
@@ -38,6 +39,7 @@ pub struct TrackingThread<'run> {
 /// What changes from frame to frame.
 struct State {
     gray: Vec<u8>,
+    given_poses: Option<GivenPoses>,
     held_out: HeldOutRule,
     n_keyframes: u32,
     /// Frames of the camera process that sends at present.
@@ -55,6 +57,7 @@ impl TrackingThread<'_> {
         let failed = |e: crate::input::InputError| RunError::Input(e.to_string());
         let mut state = State {
             gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
+            given_poses: self.plan.given_poses.clone(),
             held_out: HeldOutRule::default(),
             n_keyframes: 0,
             n_frames_of_camera: 0,
@@ -108,7 +111,10 @@ impl TrackingThread<'_> {
         state.n_frames_of_camera += 1;
         let started = Instant::now();
         let Some(image) = gray_view(frame, &mut state.gray) else { return };
-        let report = self.tracker.step(image, frame_index, frame.timestamp_ns());
+        let mut report = self.tracker.step(image, frame_index, frame.timestamp_ns());
+        if let Some(given_poses) = &mut state.given_poses {
+            given_poses.replace(&mut report);
+        }
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
         state.n_keyframes += u32::from(report.is_keyframe);
         // A full queue means that the publisher is late: its readers want the next one.
@@ -132,7 +138,8 @@ impl TrackingThread<'_> {
         if is_held_out {
             link.held_out(frame, report, times);
         } else if report.is_keyframe && !crate::map_store::is_held_out_frame(report.frame_index) {
-            link.keyframe(frame, report, &self.tracker, times);
+            let points_scale = state.given_poses.as_ref().map_or(Some(1.0), GivenPoses::points_scale);
+            link.keyframe(frame, report, (&self.tracker, points_scale), times);
         }
     }
 

@@ -93,7 +93,8 @@ fn tum_pose(path: &Path, row: &Row) -> Result<StampedPose, EvalError> {
 fn kitti_pose(path: &Path, row: &Row) -> Result<Isometry3<f64>, EvalError> {
     let m = numbers::<KITTI_COLUMNS>(path, row)?;
     let written = Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
-    if (written.determinant() - 1.0).abs() > MAX_DETERMINANT_ERROR {
+    let error = (written.transpose() * written - Matrix3::identity()).abs().max();
+    if error > MAX_ROTATION_ERROR || written.determinant() <= 0.0 {
         return Err(malformed(path, row.line, "does not hold a rotation in its first three columns".to_owned()));
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&nearest_rotation(&written));
@@ -101,8 +102,8 @@ fn kitti_pose(path: &Path, row: &Row) -> Result<Isometry3<f64>, EvalError> {
     Ok(Isometry3::from_parts(translation, rotation))
 }
 
-/// Files carry about seven digits; a matrix further from a rotation than this is something else.
-const MAX_DETERMINANT_ERROR: f64 = 1e-2;
+/// Largest entry of `R^T R - I`: files carry about seven digits; a matrix further from a rotation is something else.
+const MAX_ROTATION_ERROR: f64 = 1e-2;
 
 /// The rotation closest to a matrix that was rounded for printing (orthogonal Procrustes).
 ///
@@ -150,6 +151,7 @@ mod tests {
             ("1 0 0 0 0 1 0 0 0 0 1 0\n1 2 3\n", "line 2 has 3 numbers, 12 are needed"),
             ("1 0 0 0 0 1 0 0 0 0 1 nan\n", "line 1 holds something that is not a finite number"),
             ("2 0 0 0 0 2 0 0 0 0 2 0\n", "line 1 does not hold a rotation"),
+            ("1 1 0 0 0 1 0 0 0 0 1 0\n", "line 1 does not hold a rotation"),
             ("0 1 1 1 0 0 0 0\n", "line 1 has a quaternion of length 0"),
         ] {
             let error = truth_of(text).expect_err(text);

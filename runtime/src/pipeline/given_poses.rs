@@ -1,0 +1,121 @@
+//! Poses that are given instead of tracked: everything but the mapper is taken out of a comparison.
+
+use kilogs_core::conventions::Rigid;
+use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+
+/// Below this the tracker's own step tells nothing about its scale, m.
+const MIN_STEP_M: f64 = 0.1;
+
+/// Puts given poses into the tracker's reports. Which frames become keyframes is still the tracker's choice.
+#[derive(Debug, Clone, Default)]
+pub struct GivenPoses {
+    /// One per frame of the stream; the first is the origin.
+    world_from_camera: Vec<Rigid>,
+    newest: Option<Keyframe>,
+    points_scale: Option<f32>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Keyframe {
+    ordinal: u32,
+    world_from_camera: Rigid,
+    tracked_world_from_camera: Rigid,
+}
+
+impl GivenPoses {
+    /// One pose per frame of the stream, in any world.
+    pub fn new(mut world_from_camera: Vec<Rigid>) -> Self {
+        let first_from_world = world_from_camera.first().map_or_else(Rigid::identity, Rigid::inverse);
+        for pose in &mut world_from_camera {
+            *pose = first_from_world * *pose;
+        }
+        Self { world_from_camera, newest: None, points_scale: None }
+    }
+
+    /// Replaces what the tracker found by what is known; a frame beyond the last pose is lost.
+    pub fn replace(&mut self, report: &mut FrameReport) {
+        let given = usize::try_from(report.frame_index).ok().and_then(|index| self.world_from_camera.get(index));
+        let Some(&world_from_camera) = given else {
+            (report.status, report.reason, report.is_keyframe) = (FrameStatus::Lost, StatusReason::Unusable, false);
+            return;
+        };
+        if report.is_keyframe || self.newest.is_none() {
+            let keyframe = Keyframe {
+                ordinal: report.keyframe_ordinal,
+                world_from_camera,
+                tracked_world_from_camera: report.world_from_camera,
+            };
+            self.points_scale = self.newest.and_then(|before| scale_of_step(&before, &keyframe));
+            self.newest = Some(keyframe);
+        }
+        let Some(newest) = self.newest else { return };
+        (report.status, report.reason, report.model) =
+            (FrameStatus::Tracked, StatusReason::Verified, PoseModel::Origin);
+        report.keyframe_ordinal = newest.ordinal;
+        report.keyframe_from_camera = newest.world_from_camera.inverse() * world_from_camera;
+        report.world_from_camera = world_from_camera;
+    }
+
+    /// Factor that brings the tracker's depths at the newest keyframe to the scale of the given poses, where it can be
+    /// told.
+    pub fn points_scale(&self) -> Option<f32> {
+        self.points_scale
+    }
+}
+
+fn scale_of_step(before: &Keyframe, now: &Keyframe) -> Option<f32> {
+    let step_m = |from: &Rigid, to: &Rigid| (to.translation.vector - from.translation.vector).norm();
+    let tracked_m = step_m(&before.tracked_world_from_camera, &now.tracked_world_from_camera);
+    let given_m = step_m(&before.world_from_camera, &now.world_from_camera);
+    (tracked_m > MIN_STEP_M && given_m > MIN_STEP_M).then_some((given_m / tracked_m) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn tracked(frame_index: u64, keyframe_ordinal: u32, is_keyframe: bool, z_m: f64) -> FrameReport {
+        FrameReport {
+            frame_index,
+            timestamp_ns: frame_index,
+            status: FrameStatus::Doubtful,
+            reason: StatusReason::TooFast,
+            model: PoseModel::Predicted,
+            is_keyframe,
+            keyframe_ordinal,
+            keyframe_from_camera: Rigid::identity(),
+            world_from_camera: Rigid::translation(0.0, 0.0, z_m),
+            n_tracks: 0,
+            n_matches: 0,
+            n_inliers: 0,
+            n_dynamic: 0,
+            median_flow_px: 0.0,
+            rotation_anomaly_rad: 0.0,
+            direction_anomaly_rad: 0.0,
+            step_m: 0.0,
+            scale_ratio: 0.0,
+            n_road: 0,
+        }
+    }
+
+    #[test]
+    fn given_poses_begin_at_the_origin_and_scale_the_depths() {
+        let poses = (0..4).map(|k| Rigid::translation(7.0, 0.0, 2.0 * f64::from(k))).collect();
+        let mut given = GivenPoses::new(poses);
+        let mut check = |mut report: FrameReport, z_m: f64, relative_z_m: f64, scale: Option<f32>| {
+            given.replace(&mut report);
+            assert_eq!(report.status, FrameStatus::Tracked);
+            assert_eq!(report.world_from_camera.translation.vector, Vector3::new(0.0, 0.0, z_m));
+            assert!((report.keyframe_from_camera.translation.z - relative_z_m).abs() < 1e-12);
+            assert_eq!(given.points_scale(), scale);
+        };
+        check(tracked(0, 0, true, 0.0), 0.0, 0.0, None);
+        check(tracked(1, 0, false, 1.0), 2.0, 2.0, None);
+        check(tracked(2, 1, true, 2.0), 4.0, 0.0, Some(2.0));
+        check(tracked(3, 2, true, 2.0), 6.0, 0.0, None);
+        let mut beyond = tracked(4, 2, true, 3.0);
+        given.replace(&mut beyond);
+        assert!(beyond.status == FrameStatus::Lost && !beyond.is_keyframe);
+    }
+}
