@@ -6,7 +6,6 @@
 @group(0) @binding(8) var<storage, read_write> order: array<u32>;
 
 const LOG2_E: f32 = 1.44269504088896;
-const TWO_LN_2: f32 = 1.38629436111989;
 
 // Not a number is no ordinary one.
 fn is_ordinary(v: f32) -> bool {
@@ -43,9 +42,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 p.mean_px.x, p.mean_px.y, log2_opacity, depth_m, conic.x, conic.y, conic.z,
                 u32(rows.x) | (u32(rows.y) << 16u), g.color.x, g.color.y, g.color.z,
                 u32(columns.x) | (u32(columns.y) << 16u), extent.x, extent.y,
+                p.covariance_px2.y / p.covariance_px2.z, sqrt(max(-reach / conic.x, 0.0)),
             );
             atomicAdd(&counters.visible, 1u);
         }
+    }
+    if key == NOT_VISIBLE {
+        splats[c].columns_px = NO_COLUMNS;
     }
     keys[c] = key;
     order[c] = c;

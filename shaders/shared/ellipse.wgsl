@@ -10,11 +10,10 @@ struct Ellipse {
 }
 
 fn ellipse_of(splat: Splat) -> Ellipse {
-    let reach = splat.log2_opacity - LOG2_MIN_ALPHA;
     return Ellipse(
         vec2<f32>(splat.mean_x, splat.mean_y),
-        -0.5 * splat.conic_xy / splat.conic_xx,
-        sqrt(max(-reach / splat.conic_xx, 0.0)),
+        splat.slope,
+        splat.half_px,
         -0.5 * splat.conic_xy / splat.conic_yy * splat.extent_x,
         1.0 / splat.extent_y,
     );

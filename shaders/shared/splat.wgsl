@@ -1,3 +1,5 @@
+const TWO_LN_2: f32 = 1.38629436111989;
+
 // A Gaussian as it is blended.
 struct Splat {
     mean_x: f32,
@@ -18,6 +20,10 @@ struct Splat {
     // Half width and height of that box, px.
     extent_x: f32,
     extent_y: f32,
+    // Horizontal shift of the middle of a row of the ellipse, per px of dy.
+    slope: f32,
+    // Half length of the row through the mean, px.
+    half_px: f32,
 }
 
 // First and last pixel of `size` whose centre lies in mean + low .. mean + high; the first is larger when there is none.
@@ -26,4 +32,11 @@ fn pixels_within(mean_px: f32, low_px: f32, high_px: f32, size: u32) -> vec2<i32
     let last = min(floor(mean_px + high_px - 0.5 + BORDER_MARGIN_PX), f32(size) - 1.0);
     // Conversions of numbers that do not fit are undefined on some devices.
     return vec2<i32>(i32(clamp(first, 0.0, 65535.0)), i32(clamp(last, -1.0, 65535.0)));
+}
+
+// Columns of a candidate that does not meet the picture.
+const NO_COLUMNS: u32 = 0xffffffffu;
+
+fn is_visible(splat: Splat) -> bool {
+    return splat.columns_px != NO_COLUMNS;
 }

@@ -30,6 +30,8 @@ pub const MAX_SIGMAS: f32 = 3.33;
 pub const MIN_QUATERNION_NORM2: f32 = 1e-20;
 /// Rounding errors of an ellipse's border are smaller than this, px.
 pub const BORDER_MARGIN_PX: f32 = 0.01;
+/// Extent of a splat that is never fallen below where it divides, px.
+pub const MIN_EXTENT_PX: f32 = 1e-3;
 /// Texels of a background table around the horizon.
 pub const BACKGROUND_COLUMNS: u32 = 128;
 /// Texels of a background table from the lowest to the highest elevation.
@@ -87,6 +89,7 @@ pub const ALL: &[(&str, Value)] = &[
     ("MAX_SIGMAS", Value::F32(MAX_SIGMAS)),
     ("MIN_QUATERNION_NORM2", Value::F32(MIN_QUATERNION_NORM2)),
     ("BORDER_MARGIN_PX", Value::F32(BORDER_MARGIN_PX)),
+    ("MIN_EXTENT_PX", Value::F32(MIN_EXTENT_PX)),
     ("BACKGROUND_COLUMNS", Value::U32(BACKGROUND_COLUMNS)),
     ("BACKGROUND_ROWS", Value::U32(BACKGROUND_ROWS)),
     ("BACKGROUND_MIN_ELEVATION_RAD", Value::F32(BACKGROUND_MIN_ELEVATION_RAD)),

@@ -114,6 +114,21 @@ kernels! {
     Blend = "blend", BLEND_GROUP, ["splat", "pair", "hit"], [read splats, read tile_starts, read pairs, write planes];
     /// Puts the background behind the picture.
     ComposeSky = "compose_sky", GROUP, ["sky"], [read texels, write planes];
+    /// Largest magnitudes of the loss gradient.
+    BoundGradients = "bound_gradients", GROUP, ["bounds_atomic"], [read planes, read upstream, write bounds];
+    /// Gradients of blending, summed per splat.
+    BlendBackward = "blend_backward", BLEND_GROUP, ["splat", "pair", "hit", "bounds", "fixed"],
+        [read splats, read tile_starts, read pairs, read planes, read upstream, read bounds, write splat_sums];
+    /// Gradients with respect to the numbers of every candidate.
+    SplattingBackward = "splatting_backward", GROUP,
+        ["counters", "anchor", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed"],
+        [read anchors, read keyframes, read candidates, read counters, read splats, read bounds, write splat_sums,
+         write effective, write anisotropy_sums];
+    /// Spreads the gradients of the background over its texels.
+    SpreadSky = "spread_sky", GROUP, ["bounds", "texel_fixed", "sky"],
+        [read planes, read upstream, read bounds, write texel_sums];
+    /// Gradients of the texels.
+    CollectSky = "collect_sky", GROUP, ["bounds", "texel_fixed"], [read bounds, write texel_sums, write texel_grads];
 }
 
 impl Kernel {

@@ -182,4 +182,8 @@ pub struct Splat {
     pub extent_x: f32,
     /// Half height of that box, px.
     pub extent_y: f32,
+    /// Horizontal shift of the middle of a row of the ellipse, per px of dy.
+    pub slope: f32,
+    /// Half length of the row through the mean, px.
+    pub half_px: f32,
 }

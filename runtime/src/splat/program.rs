@@ -3,7 +3,7 @@
 //! Stages are static: which buffers a kernel is bound to never changes, so an executor prepares everything when it
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
-use super::kernel_constants::{BLOCK_PX, DIGITS, GROUP, N_PARAMS, SORT_PIECES, TILE_GROUP, TILE_PX};
+use super::kernel_constants::{BLOCK_PX, DIGITS, GROUP, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX};
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
 use super::{BACKGROUND_TEXELS, Capacities, MemoryRow};
@@ -92,6 +92,18 @@ buffers! {
     Planes = "splat.device.planes", |s| s.pixels * N_PLANES, 4;
     /// Backgrounds of all chunk rows.
     Texels = "splat.device.texels", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
+    /// Gradients of the loss with respect to the planes, plane by plane.
+    Upstream = "splat.device.upstream", |s| s.training_pixels * N_PLANES, 4;
+    /// Largest magnitudes of them.
+    Bounds = "splat.device.bounds", |_| 1, 16;
+    /// Fixed-point sums of the splats' gradients; 0 between views.
+    SplatSums = "splat.device.splat_sums", |s| s.candidates * N_SPLAT_GRADS as usize, 4;
+    /// Anisotropies added up by each workgroup of candidates.
+    AnisotropySums = "splat.device.anisotropy_sums", |s| s.candidates.div_ceil(GROUP as usize), 4;
+    /// Fixed-point sums of the texels' gradients, two limbs each; 0 between views.
+    TexelSums = "splat.device.texel_sums", |_| 2 * TEXEL_NUMBERS, 4;
+    /// Gradients of the texels of the view's chunk row.
+    TexelGrads = "splat.device.texel_grads", |_| TEXEL_NUMBERS, 4;
 }
 
 /// Red, green, blue, depth, transmittance.
@@ -110,6 +122,7 @@ struct Sizes {
     entries: usize,
     pairs: usize,
     pixels: usize,
+    training_pixels: usize,
     chunk_rows: usize,
 }
 
@@ -127,6 +140,7 @@ impl Sizes {
             entries: capacities.row_entries,
             pairs: capacities.pairs,
             pixels: width * height,
+            training_pixels: capacities.training_pixels,
             chunk_rows: capacities.chunk_rows,
         }
     }
@@ -229,11 +243,14 @@ pub enum Part {
     Sort,
     /// From splats in depth order to the picture.
     Blend,
+    /// From [`Buffer::Upstream`] to gradients: those of the candidates' numbers replace the numbers in
+    /// [`Buffer::Effective`], those of the background are in [`Buffer::TexelGrads`].
+    Backward,
 }
 
 impl Part {
     /// All parts in the order of their numbers.
-    pub const ALL: &'static [Self] = &[Self::Project, Self::Sort, Self::Blend];
+    pub const ALL: &'static [Self] = &[Self::Project, Self::Sort, Self::Blend, Self::Backward];
 
     /// The part's dispatches in order.
     pub fn stages(self) -> &'static [Stage] {
@@ -241,6 +258,7 @@ impl Part {
             Self::Project => PROJECT,
             Self::Sort => SORT.as_flattened(),
             Self::Blend => BLEND,
+            Self::Backward => BACKWARD,
         }
     }
 }
@@ -319,4 +337,34 @@ const BLEND: &[Stage] = &[
     ),
     stage(Kernel::Blend, Extent::Blocks, &[B::Splats, B::TileStarts, B::Pairs, B::Planes]),
     stage(Kernel::ComposeSky, Extent::Pixels, &[B::Texels, B::Planes]),
+];
+
+/// An invocation per number of a background table.
+const TEXEL_GROUPS: Extent = Extent::Groups((TEXEL_NUMBERS as u32).div_ceil(GROUP));
+
+/// From gradients of the picture to gradients of everything that is trained.
+const BACKWARD: &[Stage] = &[
+    stage(Kernel::BoundGradients, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds]),
+    stage(
+        Kernel::BlendBackward,
+        Extent::Blocks,
+        &[B::Splats, B::TileStarts, B::Pairs, B::Planes, B::Upstream, B::Bounds, B::SplatSums],
+    ),
+    stage(
+        Kernel::SplattingBackward,
+        CANDIDATES,
+        &[
+            B::Anchors,
+            B::Keyframes,
+            B::Candidates,
+            B::Counters,
+            B::Splats,
+            B::Bounds,
+            B::SplatSums,
+            B::Effective,
+            B::AnisotropySums,
+        ],
+    ),
+    stage(Kernel::SpreadSky, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds, B::TexelSums]),
+    stage(Kernel::CollectSky, TEXEL_GROUPS, &[B::Bounds, B::TexelSums, B::TexelGrads]),
 ];

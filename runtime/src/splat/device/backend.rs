@@ -118,8 +118,15 @@ impl<E: Executor> DeviceBackend<E> {
             e.upload(Buffer::View, 0, block.as_bytes())?;
             e.upload(Buffer::Keyframes, 0, keyframes)?;
             e.clear(Buffer::Counters, 0, size_of::<Counters>())?;
+            e.clear(Buffer::Bounds, 0, BOUNDS_BYTES)?;
             e.run(parts, &work)
         })
+    }
+
+    /// Runs further parts of the view that was drawn last.
+    pub(super) fn run_more(&mut self, view: &View, parts: &[Part]) -> bool {
+        let work = self.work(view);
+        self.device.call(|e| e.run(parts, &work))
     }
 
     /// Waits for the last run and reads its counters.
@@ -129,6 +136,9 @@ impl<E: Executor> DeviceBackend<E> {
         read.then(|| stats_of(&counters, &self.capacities))
     }
 }
+
+/// Bytes of [`Buffer::Bounds`].
+const BOUNDS_BYTES: usize = 16;
 
 /// The parts of a run that draw.
 pub(super) const DRAW: [Part; 3] = [Part::Project, Part::Sort, Part::Blend];

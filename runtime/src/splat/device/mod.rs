@@ -2,6 +2,7 @@
 
 mod backend;
 mod executor;
+mod gradients;
 mod slots;
 mod view;
 

@@ -1,15 +1,32 @@
 //! The devices to test on: whatever is there, and a word about what is not.
 
-use crate::splat::device::DeviceError;
+use crate::splat::cpu::decode::N_PARAMS;
+use crate::splat::device::{DeviceBackend, DeviceError, Executor};
 use crate::splat::wgpu::{WgpuBackend, WgpuExecutor};
-use crate::splat::{Capacities, SplatBackend};
+use crate::splat::{BACKGROUND_TEXELS, Capacities, SplatBackend, View};
 
 /// Memory that a test may take.
 const CAP_BYTES: usize = 1 << 30;
 
+/// A device backend, whatever its driver.
+pub trait Device: SplatBackend {
+    /// Gradients of the Gaussians' numbers and of the background.
+    fn gradients(&mut self, view: &View, upstream: &[Vec<f32>; 5]) -> (Vec<[f32; N_PARAMS]>, Vec<[f32; 3]>);
+}
+
+impl<E: Executor> Device for DeviceBackend<E> {
+    fn gradients(&mut self, view: &View, upstream: &[Vec<f32>; 5]) -> (Vec<[f32; N_PARAMS]>, Vec<[f32; 3]>) {
+        let planes = [&upstream[0], &upstream[1], &upstream[2], &upstream[3], &upstream[4]].map(Vec::as_slice);
+        let n = self.capacities().anchors * self.capacities().gaussians_per_anchor;
+        let (mut params, mut texels) = (vec![[f32::NAN; N_PARAMS]; n], vec![[f32::NAN; 3]; BACKGROUND_TEXELS]);
+        assert!(DeviceBackend::gradients(self, view, planes, &mut params, &mut texels), "{:?}", self.failure());
+        (params, texels)
+    }
+}
+
 /// Calls `check` with a backend of every device API that is present; without a device says so, or fails when
 /// `KILOGS_REQUIRE_VULKAN=1`.
-pub fn on_every_device(capacities: Capacities, mut check: impl FnMut(&str, &mut dyn SplatBackend)) {
+pub fn on_every_device(capacities: Capacities, mut check: impl FnMut(&str, &mut dyn Device)) {
     let opened = WgpuExecutor::open(&capacities, CAP_BYTES).and_then(|e| WgpuBackend::new(capacities, e));
     match opened {
         Ok(mut backend) => check("wgpu", &mut backend),

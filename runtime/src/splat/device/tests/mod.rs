@@ -1,3 +1,4 @@
 mod devices;
+mod gradients;
 mod pictures;
 mod table;

@@ -166,6 +166,8 @@ fn structs_agree_member_by_member() {
         columns_px,
         extent_x,
         extent_y,
+        slope,
+        half_px,
     });
     check_layout!(IndirectGroups { candidates_x, candidates_y, candidates_z, spare });
 }
