@@ -33,8 +33,8 @@ pub struct KernelSpec {
     pub bindings: &'static [Binding],
     /// Invocations of a workgroup, one-dimensional.
     pub workgroup_size: u32,
-    shared: &'static [&'static str],
-    body: &'static str,
+    /// Files under `shaders/` with their text, in the order in which they are joined.
+    files: &'static [(&'static str, &'static str)],
 }
 
 const fn read(name: &'static str) -> Binding {
@@ -60,8 +60,14 @@ macro_rules! kernels {
                 name: $name,
                 bindings: &[$($access(stringify!($binding))),*],
                 workgroup_size: $size,
-                shared: &[$(include_str!(concat!("../../../shaders/shared/", $shared, ".wgsl"))),*],
-                body: include_str!(concat!("../../../shaders/", $name, ".wgsl")),
+                files: &[
+                    ("shaders/shared/view.wgsl", include_str!("../../../shaders/shared/view.wgsl")),
+                    $((
+                        concat!("shaders/shared/", $shared, ".wgsl"),
+                        include_str!(concat!("../../../shaders/shared/", $shared, ".wgsl")),
+                    ),)*
+                    (concat!("shaders/", $name, ".wgsl"), include_str!(concat!("../../../shaders/", $name, ".wgsl"))),
+                ],
             },)+
         ];
     };
@@ -141,11 +147,13 @@ impl Kernel {
 impl KernelSpec {
     /// The kernel's whole WGSL text: constants, the uniform block, its shared snippets, its file.
     pub fn wgsl(&self) -> String {
-        let mut text = constants::wgsl();
-        text.push_str(include_str!("../../../shaders/shared/view.wgsl"));
-        self.shared.iter().for_each(|snippet| text.push_str(snippet));
-        text.push_str(self.body);
-        text
+        self.pieces().map(|(_, text)| text).collect()
+    }
+
+    /// The same in pieces, each with the file that it is from.
+    pub fn pieces(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let constants = ("runtime/src/splat/kernel_constants.rs", constants::wgsl());
+        std::iter::once(constants).chain(self.files.iter().map(|&(file, text)| (file, text.to_owned())))
     }
 }
 

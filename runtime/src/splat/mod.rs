@@ -16,6 +16,7 @@ pub mod layout;
 pub mod program;
 pub mod wgpu;
 mod training;
+pub mod vulkan;
 
 pub use background::{
     BACKGROUND_COLUMNS, BACKGROUND_MAX_ELEVATION_RAD, BACKGROUND_MIN_ELEVATION_RAD, BACKGROUND_ROWS, BACKGROUND_TEXELS,

@@ -1,6 +1,7 @@
 //! The backend of a device: host bookkeeping around one executor.
 
-use super::executor::{DeviceError, Executor};
+use super::error::DeviceError;
+use super::executor::Executor;
 use super::slots::Slots;
 use super::view::{place, view_block};
 use crate::splat::cpu::exposures::Exposures;

@@ -1,53 +1,7 @@
 //! The seam between a program and a driver.
 
+use super::error::DeviceError;
 use crate::splat::program::{Buffer, Part, WorkSize};
-
-/// Why a device could not do what it was asked.
-#[derive(Debug, thiserror::Error)]
-pub enum DeviceError {
-    /// No device, or none that can run the kernels.
-    #[error("opening a {api} device: {reason}: use --backend cpu, or install a Vulkan driver (mesa-vulkan-drivers)")]
-    NoDevice {
-        /// `Vulkan` or `wgpu`.
-        api: &'static str,
-        /// What is missing.
-        reason: String,
-    },
-    /// A buffer is larger than the device allows.
-    #[error("device buffer {name} needs {bytes} bytes, the device allows {limit}: lower the row in memory_budget.toml")]
-    BufferTooLarge {
-        /// Name of the buffer.
-        name: &'static str,
-        /// What it needs.
-        bytes: usize,
-        /// What the device allows.
-        limit: usize,
-    },
-    /// The buffers together are larger than the cap.
-    #[error("device buffers need {bytes} bytes, device_bytes allows {cap}: lower capacities in memory_budget.toml")]
-    ArenaTooLarge {
-        /// What all buffers need.
-        bytes: usize,
-        /// What is allowed.
-        cap: usize,
-    },
-    /// A kernel did not compile.
-    #[error("compiling kernel {kernel}: {reason}")]
-    Kernel {
-        /// Name of the kernel.
-        kernel: &'static str,
-        /// What the compiler or driver said.
-        reason: String,
-    },
-    /// The device is gone: its buffers with it. The caller falls back to the CPU backend.
-    #[error("the device was lost while {doing}: {reason}")]
-    Lost {
-        /// What was being done.
-        doing: &'static str,
-        /// What the driver said.
-        reason: String,
-    },
-}
 
 /// Runs programs on one device; owns one buffer per row of [`buffer_plan`](crate::splat::program::buffer_plan), all zero
 /// at first, and one pipeline per row of [`KERNELS`](crate::splat::kernels::KERNELS).

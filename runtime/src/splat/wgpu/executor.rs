@@ -1,6 +1,6 @@
 //! Runs the device programs with wgpu, which allocates a little of its own for every submission.
 
-use crate::splat::device::{DeviceError, Executor};
+use crate::splat::device::{Arena, DeviceError, Executor};
 use crate::splat::kernels::{Access, KERNELS, KernelSpec};
 use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan};
 use crate::splat::{Capacities, MemoryRow};
@@ -29,10 +29,11 @@ impl WgpuExecutor {
     /// not compile.
     pub fn open(capacities: &Capacities, cap_bytes: usize) -> Result<Self, DeviceError> {
         let plan = buffer_plan(capacities);
-        let device_bytes = plan.iter().map(MemoryRow::bytes).sum();
-        if device_bytes > cap_bytes {
-            return Err(DeviceError::ArenaTooLarge { bytes: device_bytes, cap: cap_bytes });
+        let mut arena = Arena::new(cap_bytes as u64);
+        for row in &plan {
+            arena.reserve(row.name, row.bytes() as u64, 16)?;
         }
+        let device_bytes = arena.used_bytes() as usize;
         let no_device = |reason: String| DeviceError::NoDevice { api: "wgpu", reason };
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
         let options = wgpu::RequestAdapterOptions {

@@ -2,6 +2,7 @@
 
 use crate::splat::cpu::decode::N_PARAMS;
 use crate::splat::device::{DeviceBackend, DeviceError, Executor};
+use crate::splat::vulkan::{VulkanBackend, VulkanExecutor, testing};
 use crate::splat::wgpu::{WgpuBackend, WgpuExecutor};
 use crate::splat::{BACKGROUND_TEXELS, Capacities, SplatBackend, View};
 
@@ -27,6 +28,11 @@ impl<E: Executor> Device for DeviceBackend<E> {
 /// Calls `check` with a backend of every device API that is present; without a device says so, or fails when
 /// `KILOGS_REQUIRE_VULKAN=1`.
 pub fn on_every_device(capacities: Capacities, mut check: impl FnMut(&str, &mut dyn Device)) {
+    if let Some(device) = testing::device() {
+        let opened = VulkanExecutor::new(&device, &capacities, CAP_BYTES as u64);
+        let mut backend = opened.and_then(|e| VulkanBackend::new(capacities, e)).unwrap_or_else(|e| panic!("{e}"));
+        check("vulkan", &mut backend);
+    }
     let opened = WgpuExecutor::open(&capacities, CAP_BYTES).and_then(|e| WgpuBackend::new(capacities, e));
     match opened {
         Ok(mut backend) => check("wgpu", &mut backend),

@@ -1,0 +1,4 @@
+//! The executor on whatever Vulkan device is here.
+
+mod copies;
+mod pages;
