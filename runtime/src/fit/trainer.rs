@@ -84,6 +84,7 @@ impl Trainer<'_> {
             if is_full {
                 let section_ends = (view_idx + 1) as f64 / self.views.len() as f64;
                 self.train_section(&active, (section_begins, section_ends))?;
+                self.store_chunks(&active);
                 section_begins = section_ends;
                 self.make_room(&mut active);
             }
@@ -91,7 +92,9 @@ impl Trainer<'_> {
                 return Ok(());
             }
         }
-        self.train_section(&active, (section_begins, 1.0))
+        self.train_section(&active, (section_begins, 1.0))?;
+        self.store_chunks(&active);
+        Ok(())
     }
 
     fn insert(&mut self, active: Active) -> Result<(), RunError> {
@@ -129,7 +132,7 @@ impl Trainer<'_> {
             let progress = ((spent - begins) / (ends - begins).max(1e-9)).clamp(0.0, 1.0);
             if schedule::REVISITS.get(next_revisit).is_some_and(|at| progress >= *at) {
                 next_revisit += 1;
-                self.revisit(active)?;
+                self.revisit(active, ends)?;
             }
             let nth = order.pop().unwrap_or_else(|| {
                 order.extend(0..active.len());
@@ -163,7 +166,7 @@ impl Trainer<'_> {
     }
 
     /// Drops what is faint, then inserts where the trained map is bare or wrong.
-    fn revisit(&mut self, active: &[Active]) -> Result<(), RunError> {
+    fn revisit(&mut self, active: &[Active], ends: f64) -> Result<(), RunError> {
         for active in active {
             self.mapper.prune_keyframe(active.ordinal);
         }
@@ -182,11 +185,26 @@ impl Trainer<'_> {
             let revisited = self.mapper.revisit(&packet, n_sources).map_err(|e| RunError::Run(e.to_string()))?;
             self.usage.observe(Row::MapNewAnchors, revisited.n_anchors as usize);
             self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
-            if !(self.on_progress)(self.clock.progress(self.n_steps)) {
+            let spent = self.clock.progress(self.n_steps);
+            if spent >= ends || !(self.on_progress)(spent) {
                 return Ok(());
             }
         }
         Ok(())
+    }
+
+    /// The skies of the views that were trained; a store that cannot take them says why when it is finished.
+    fn store_chunks(&mut self, active: &[Active]) {
+        for nth in 0..active.len() {
+            let chunk = |nth: usize| active[nth].ordinal / CHUNK_KEYFRAMES;
+            if nth > 0 && chunk(nth) == chunk(nth - 1) {
+                continue;
+            }
+            let active = active[nth];
+            if !self.mapper.store_chunk_of(active.ordinal, &mut &*self.store) {
+                log::debug!("the sky of keyframe {} was not stored", active.ordinal);
+            }
+        }
     }
 
     /// Hands over the oldest anchors, and stops training the views whose anchors are gone.

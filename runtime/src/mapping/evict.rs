@@ -125,7 +125,7 @@ impl Mapper {
         written
     }
 
-    fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> bool {
+    pub(super) fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> bool {
         let chunk_row = self.chunk_row(chunk * CHUNK_KEYFRAMES);
         if !self.backend.read_background(chunk_row, &mut self.background) {
             return false;

@@ -1,7 +1,7 @@
 //! Training on views that are handed in, in any order and at any resolution: when all of them are known beforehand.
 
 use super::images::KeptKeyframe;
-use super::mapper::{InsertReport, KeyframePacket, Mapper, PacketRefused};
+use super::mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, Mapper, PacketRefused};
 use super::sink::PageSink;
 use crate::splat::{StepReport, StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::camera::Pinhole;
@@ -67,6 +67,11 @@ impl Mapper {
     /// Whether the anchors of a keyframe are in memory.
     pub fn holds_keyframe(&self, ordinal: u32) -> bool {
         self.groups.holds(ordinal)
+    }
+
+    /// Hands over the present sky of a keyframe's chunk: it was trained after the chunk had been complete.
+    pub fn store_chunk_of(&mut self, ordinal: u32, sink: &mut dyn PageSink) -> bool {
+        self.write_chunk(ordinal / CHUNK_KEYFRAMES, sink)
     }
 
     /// Hands over the oldest keyframes' anchors; false when there is nothing to hand over but the newest, or the sink

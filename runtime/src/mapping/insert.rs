@@ -106,7 +106,8 @@ impl Mapper {
     fn begin_background(&mut self, age: usize, from_stereo: bool) {
         let Some(kept) = self.images.newest(age) else { return };
         let chunk = kept.keyframe.ordinal / CHUNK_KEYFRAMES;
-        if !from_stereo || self.background_of_chunk == Some(chunk) {
+        // A chunk that is met again has its sky.
+        if !from_stereo || self.background_of_chunk >= Some(chunk) {
             return;
         }
         let camera = self.images.camera();

@@ -99,6 +99,8 @@ impl RunPlan {
         let mut settings = args.settings()?;
         let resolution = &mut settings.mapping.mapper.resolution;
         *resolution = resolution.max(MIN_INSERTION_WIDTH_PX / f64::from(format.camera.width)).min(1.0);
+        // Pages leave when they are trained, wherever they are.
+        settings.mapping.mapper.page_distance_m = f64::INFINITY;
         let budget = args.budget()?;
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
         Self::of_parts(args, format, Pace::LockStep { iterations: 0 }, out, (settings, budget, 1.0))
