@@ -6,6 +6,10 @@
 @group(0) @binding(5) var<storage, read> entry_starts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> entries: array<Entry>;
 
+fn meets_row(rows_px: u32, top: u32) -> bool {
+    return (rows_px >> 16u) >= top && (rows_px & 0xffffu) < top + TILE_PX;
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let top = group.x * TILE_PX;
@@ -13,16 +17,20 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     let len = (n + GROUP - 1u) / GROUP;
     let end = min((lane + 1u) * len, n);
     var at = entry_starts[group.x] + entry_offsets[group.x * GROUP + lane];
-    for (var i = lane * len; i < end && at < view.entry_capacity; i++) {
-        let splat = order[i];
-        let rows = splats[splat].rows_px;
-        let first_px = rows & 0xffffu;
-        let last_px = rows >> 16u;
-        if last_px < top || first_px >= top + TILE_PX {
-            continue;
+    var i = lane * len;
+    while at < view.entry_capacity {
+        // The next splat that meets this row: cheap, so that the rest, which is not, keeps all invocations busy.
+        while i < end && !meets_row(splats[order[i]].rows_px, top) {
+            i++;
         }
+        if i >= end {
+            break;
+        }
+        let splat = order[i];
+        i++;
+        let rows = splats[splat].rows_px;
         let columns =
-            columns_in(ellipse_of(splats[splat]), max(top, first_px), min(last_px, top + TILE_PX - 1u));
+            columns_in(ellipse_of(splats[splat]), max(top, rows & 0xffffu), min(rows >> 16u, top + TILE_PX - 1u));
         // An empty interval is stored as tiles 1..=0.
         var tiles = 1u;
         if columns.x <= columns.y {

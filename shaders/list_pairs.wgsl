@@ -42,13 +42,19 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     let end = min(first + len, row_end);
     var at = tile_starts[group.x] + pair_offsets[group.x * TILE_GROUP + lane];
     var listed = 0u;
-    for (var i = first; i < end && at < view.pair_capacity; i++) {
-        let entry = entries[i];
-        if !meets_tile(entry, column) {
-            continue;
+    var i = first;
+    while at < view.pair_capacity {
+        // The next entry that meets this tile: cheap, so that the rest, which is not, keeps all invocations busy.
+        while i < end && !meets_tile(entries[i], column) {
+            i++;
         }
-        let blocks = blocks_of_tile(splats[entry.splat], row * TILE_PX, column * TILE_PX);
-        pairs[at] = Pair(entry.splat, blocks);
+        if i >= end {
+            break;
+        }
+        let splat = entries[i].splat;
+        i++;
+        let blocks = blocks_of_tile(splats[splat], row * TILE_PX, column * TILE_PX);
+        pairs[at] = Pair(splat, blocks);
         listed += select(0u, 1u, blocks != 0u);
         at++;
     }

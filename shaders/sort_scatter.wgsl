@@ -21,8 +21,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
     for (var i = piece * len; i < end; i++) {
         let key = keys[i];
         let d = (key >> (digit * DIGIT_BITS)) & (DIGITS - 1u);
-        let at = digit_counts[d * SORT_PIECES + piece];
-        digit_counts[d * SORT_PIECES + piece] = at + 1u;
+        let at = digit_counts[piece * DIGITS + d];
+        digit_counts[piece * DIGITS + d] = at + 1u;
         let to = digit_starts[d] + at;
         next_keys[to] = key;
         next_order[to] = order[i];

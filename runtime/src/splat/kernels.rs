@@ -94,7 +94,7 @@ kernels! {
     /// How often each digit occurs in each piece of the keys.
     SortCount = "sort_count", GROUP, ["counters"], [read digit, read counters, read keys, write digit_counts];
     /// Where each piece's keys begin within their digit.
-    SortScan = "sort_scan", GROUP, ["group_scan", "scan"], [write digit_counts, write digit_totals];
+    SortScan = "sort_scan", GROUP, [], [write digit_counts, write digit_totals];
     /// Moves the keys.
     SortScatter = "sort_scatter", GROUP, ["counters", "group_scan", "scan"],
         [read digit, read counters, read keys, read order, write digit_counts, read digit_totals, write next_keys,

@@ -276,7 +276,7 @@ const CANDIDATES: Extent = Extent::Indirect(0);
 const fn sort_pass(digit: &'static [Buffer; 4], scatter: &'static [Buffer; 8]) -> [Stage; 3] {
     [
         stage(Kernel::SortCount, Extent::Groups(SORT_PIECES / GROUP), digit),
-        stage(Kernel::SortScan, Extent::Groups(DIGITS), &[B::DigitCounts, B::DigitTotals]),
+        stage(Kernel::SortScan, Extent::Groups(1), &[B::DigitCounts, B::DigitTotals]),
         stage(Kernel::SortScatter, Extent::Groups(SORT_PIECES / GROUP), scatter),
     ]
 }

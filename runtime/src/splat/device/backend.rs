@@ -10,7 +10,8 @@ use crate::splat::layout::{Counters, DeviceAnchor, KeyframeBlock, ViewBlock};
 use crate::splat::program::{Buffer, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
 use crate::splat::{
     AnchorFeature, AnchorHeader, BACKGROUND_TEXELS, Capacities, Exposure, GaussianParams, KeyframePlacement, MemoryRow,
-    Overflow, RenderStats, RenderTarget, SplatBackend, StepReport, StepSettings, TrainingView, View,
+    Overflow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView,
+    View,
 };
 use core::cell::RefCell;
 use zerocopy::IntoBytes;
@@ -30,6 +31,8 @@ pub struct DeviceBackend<E> {
     planes: Vec<f32>,
     /// Zeros of one slot.
     zeros: Vec<u8>,
+    /// Set when every stage is run and waited for on its own.
+    clock: Option<StageClock>,
 }
 
 /// An executor, and what went wrong with it first.
@@ -79,6 +82,7 @@ impl<E: Executor> DeviceBackend<E> {
             exposures: Exposures::new(capacities.exposure_slots),
             planes: vec![0.0; 3 * n_pixels],
             zeros: vec![0; k * size_of::<GaussianParams>()],
+            clock: None,
             capacities,
         })
     }
@@ -98,6 +102,12 @@ impl<E: Executor> DeviceBackend<E> {
         self.device.executor.borrow().device_bytes()
     }
 
+    /// Whether every stage is run and waited for on its own, so that
+    /// [`stage_times`](SplatBackend::stage_times) can tell them apart; slower, and the same results.
+    pub fn time_stages(&mut self, on: bool) {
+        self.clock = on.then(StageClock::new);
+    }
+
     /// What a device backend of these capacities takes on the device, row by row.
     pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; Buffer::ALL.len()] {
         buffer_plan(capacities)
@@ -114,20 +124,26 @@ impl<E: Executor> DeviceBackend<E> {
     /// Uploads what the kernels need of a view, and runs the parts.
     pub(super) fn run(&mut self, view: &View, block: &ViewBlock, parts: &[Part]) -> bool {
         place(view, &self.placements, &mut self.keyframes);
-        let (work, keyframes) = (self.work(view), self.keyframes.as_bytes());
-        self.device.call(|e| {
+        let keyframes = self.keyframes.as_bytes();
+        if let Some(clock) = &mut self.clock {
+            clock.restart();
+        }
+        let uploaded = self.device.call(|e| {
             e.upload(Buffer::View, 0, block.as_bytes())?;
             e.upload(Buffer::Keyframes, 0, keyframes)?;
             e.clear(Buffer::Counters, 0, size_of::<Counters>())?;
-            e.clear(Buffer::Bounds, 0, BOUNDS_BYTES)?;
-            e.run(parts, &work)
-        })
+            e.clear(Buffer::Bounds, 0, BOUNDS_BYTES)
+        });
+        uploaded && self.run_more(view, parts)
     }
 
     /// Runs further parts of the view that was drawn last.
     pub(super) fn run_more(&mut self, view: &View, parts: &[Part]) -> bool {
         let work = self.work(view);
-        self.device.call(|e| e.run(parts, &work))
+        match &mut self.clock {
+            None => self.device.call(|e| e.run(parts, &work)),
+            Some(clock) => parts.iter().all(|&part| self.device.call(|e| run_timed(e, part, &work, clock))),
+        }
     }
 
     /// Waits for the last run and reads its counters.
@@ -136,6 +152,23 @@ impl<E: Executor> DeviceBackend<E> {
         let read = self.device.call(|e| e.download(Buffer::Counters, 0, counters.as_mut_bytes()));
         read.then(|| stats_of(&counters, &self.capacities))
     }
+}
+
+fn run_timed<E: Executor>(
+    executor: &mut E,
+    part: Part,
+    work: &WorkSize,
+    clock: &mut StageClock,
+) -> Result<(), DeviceError> {
+    let mut word = [0; 4];
+    executor.download(Buffer::Counters, 0, &mut word)?;
+    clock.finish("upload");
+    for (i, stage) in part.stages().iter().enumerate() {
+        executor.run_stage(part, i, work)?;
+        executor.download(Buffer::Counters, 0, &mut word)?;
+        clock.finish(stage.kernel.spec().name);
+    }
+    Ok(())
 }
 
 /// Bytes of [`Buffer::Bounds`].
@@ -285,5 +318,9 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
     fn train_step(&mut self, training: &TrainingView<'_>, _settings: &StepSettings) -> StepReport {
         let _ = training;
         StepReport { stats: refused(), ..StepReport::default() }
+    }
+
+    fn stage_times(&self) -> StageTimes {
+        self.clock.as_ref().map(|clock| clock.times().clone()).unwrap_or_default()
     }
 }

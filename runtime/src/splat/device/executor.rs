@@ -19,6 +19,9 @@ pub trait Executor: Send {
     /// not wait for them.
     fn run(&mut self, parts: &[Part], work: &WorkSize) -> Result<(), DeviceError>;
 
+    /// Submits one stage of a part alone, to be timed; the stages of a part one by one do what [`run`](Self::run) does.
+    fn run_stage(&mut self, part: Part, stage: usize, work: &WorkSize) -> Result<(), DeviceError>;
+
     /// Waits for everything so far and copies bytes of a buffer back.
     fn download(&mut self, buffer: Buffer, offset_bytes: usize, bytes: &mut [u8]) -> Result<(), DeviceError>;
 

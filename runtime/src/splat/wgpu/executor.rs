@@ -73,20 +73,29 @@ impl WgpuExecutor {
         }
     }
 
-    fn record(&self, pass: &mut wgpu::ComputePass<'_>, part: Part, work: &WorkSize) {
-        for (stage, bind_group) in part.stages().iter().zip(&self.bind_groups[part as usize]) {
-            let workgroups = stage.workgroups(work);
-            if workgroups == Workgroups::Direct(0) {
-                continue;
-            }
-            pass.set_pipeline(&self.pipelines[stage.kernel as usize]);
-            pass.set_bind_group(0, bind_group, &[]);
-            match workgroups {
-                Workgroups::Direct(n) => pass.dispatch_workgroups(n, 1, 1),
-                Workgroups::Indirect(offset_bytes) => {
-                    let counts = &self.buffers[Buffer::Dispatch as usize];
-                    pass.dispatch_workgroups_indirect(counts, u64::from(offset_bytes));
-                }
+    fn submit(&mut self, stages: impl Iterator<Item = (Part, usize)>, work: &WorkSize) -> Result<(), DeviceError> {
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            stages.for_each(|(part, stage)| self.record(&mut pass, part, stage, work));
+        }
+        self.queue.submit([encoder.finish()]);
+        self.check("running kernels")
+    }
+
+    fn record(&self, pass: &mut wgpu::ComputePass<'_>, part: Part, stage: usize, work: &WorkSize) {
+        let kernel = part.stages()[stage].kernel;
+        let workgroups = part.stages()[stage].workgroups(work);
+        if workgroups == Workgroups::Direct(0) {
+            return;
+        }
+        pass.set_pipeline(&self.pipelines[kernel as usize]);
+        pass.set_bind_group(0, &self.bind_groups[part as usize][stage], &[]);
+        match workgroups {
+            Workgroups::Direct(n) => pass.dispatch_workgroups(n, 1, 1),
+            Workgroups::Indirect(offset_bytes) => {
+                let counts = &self.buffers[Buffer::Dispatch as usize];
+                pass.dispatch_workgroups_indirect(counts, u64::from(offset_bytes));
             }
         }
     }
@@ -217,13 +226,12 @@ impl Executor for WgpuExecutor {
     }
 
     fn run(&mut self, parts: &[Part], work: &WorkSize) -> Result<(), DeviceError> {
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            parts.iter().for_each(|&part| self.record(&mut pass, part, work));
-        }
-        self.queue.submit([encoder.finish()]);
-        self.check("running kernels")
+        let stages = parts.iter().flat_map(|&part| (0..part.stages().len()).map(move |stage| (part, stage)));
+        self.submit(stages, work)
+    }
+
+    fn run_stage(&mut self, part: Part, stage: usize, work: &WorkSize) -> Result<(), DeviceError> {
+        self.submit(core::iter::once((part, stage)), work)
     }
 
     fn download(&mut self, buffer: Buffer, offset_bytes: usize, bytes: &mut [u8]) -> Result<(), DeviceError> {
