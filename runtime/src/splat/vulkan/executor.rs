@@ -243,6 +243,12 @@ impl Executor for VulkanExecutor {
         self.submit("running the kernels")
     }
 
+    fn run_stage(&mut self, part: Part, stage: usize, work: &WorkSize) -> Result<(), DeviceError> {
+        let found = &part.stages()[stage];
+        self.dispatch(part, stage, found, found.workgroups(work))?;
+        self.submit("running a kernel")
+    }
+
     fn download(&mut self, buffer: Buffer, offset_bytes: usize, bytes: &mut [u8]) -> Result<(), DeviceError> {
         assert!(self.is_inside(buffer, offset_bytes, bytes.len()), "a download lies within its buffer");
         let (source, mut done) = (self.block.buffer(buffer as usize), 0);
