@@ -12,6 +12,7 @@ pub mod pool;
 pub mod input;
 pub mod output;
 pub mod splat;
+pub mod compute;
 pub mod mapping;
 pub mod map_store;
 pub mod export;

@@ -1,10 +1,11 @@
 //! What one element of each row costs. Sizes come from the types that are stored, never from the file.
 
-use super::{Budget, Row};
+use super::{Budget, Location, Row};
 use crate::mapping::{capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
-use crate::splat::MemoryRow;
 use crate::splat::cpu::CpuBackend;
+use crate::splat::device::{HostCopy, arena_bytes};
+use crate::splat::{Capacities, MemoryRow};
 use kilogs_core::bundle::ReducedSystem;
 use kilogs_core::camera::Pinhole;
 use kilogs_core::keyframe::{KeyframeWindow, WINDOW};
@@ -24,8 +25,19 @@ pub struct PlanInput {
     pub color_channels: u32,
     /// Size of the training images relative to the camera's, `mapping.resolution`.
     pub mapping_resolution: f64,
-    /// The compute device has memory of its own; false for the CPU and for software devices.
-    pub device_has_own_memory: bool,
+    /// What computes the map, and in whose memory.
+    pub compute: ComputeMemory,
+}
+
+/// What computes the map, and in whose memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ComputeMemory {
+    /// The CPU.
+    Cpu,
+    /// A device that uses the machine's memory: software, or part of the processor's chip.
+    SharedDevice,
+    /// A device with memory of its own.
+    OwnDevice,
 }
 
 impl PlanInput {
@@ -48,10 +60,27 @@ impl PlanInput {
     }
 }
 
+/// Bytes of one element of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Cost {
+    /// In the machine's memory.
+    pub host: u64,
+    /// In the memory of a device that has its own.
+    pub device: u64,
+    /// Of these: in the arena of a device, wherever that lies.
+    pub arena: u64,
+}
+
 /// Bytes of one element of `row`.
-pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
-    let capacity = |row: Row| budget.capacity(row);
+pub(super) fn cost_each(row: Row, budget: &Budget, input: &PlanInput) -> Cost {
     let splat = SplatSizes::of(budget, input);
+    let of_backend = splat.cost_each(row, budget, input.compute);
+    Cost { host: of_backend.host + host_bytes_each(row, budget, input), ..of_backend }
+}
+
+/// Bytes of one element of `row` without the splat backend.
+fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
+    let capacity = |row: Row| budget.capacity(row);
     let channels = u64::from(input.color_channels);
     let bytes = |n: usize| n as u64;
     match row {
@@ -68,50 +97,112 @@ pub(super) fn bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             input.frame_bytes
                 + bytes(size_of::<FrameReport>() + capacity(Row::TrackingTracks) * size_of::<KeyframePoint>())
         }
-        Row::MapAnchors => bytes(mapper::BYTES_PER_ANCHOR) + splat.each("splat.anchors"),
+        Row::MapAnchors => bytes(mapper::BYTES_PER_ANCHOR),
         // Their sizes are part of the rows that they multiply.
         Row::MapGaussiansPerAnchor | Row::StorePageAnchors => 0,
         Row::MapNewAnchors => bytes(mapper::bytes_per_new_anchor(capacity(Row::MapGaussiansPerAnchor))),
         Row::MapVoxels => bytes(mapper::BYTES_PER_VOXEL),
-        Row::MapKeyframes => splat.each("splat.keyframe_rows"),
         Row::MapKeyframeImages => {
             let channels = input.color_channels as usize;
-            bytes(mapper::bytes_per_image(&input.mapping_camera(), channels)) + splat.each("splat.exposure_slots")
+            bytes(mapper::bytes_per_image(&input.mapping_camera(), channels))
         }
         Row::MapWorkspaces => bytes(mapper::workspace_bytes(&input.mapping_camera())),
-        Row::MapChunks => splat.each("splat.chunk_rows"),
-        Row::SplatVisibleGaussians => splat.each("splat.visible_gaussians"),
-        Row::SplatRowEntries => splat.each("splat.row_entries"),
-        Row::SplatPairs => splat.each("splat.pairs"),
-        Row::SplatViews => splat.all("splat.image_pixels") + splat.all("splat.training_pixels"),
+        // The splat backend's own.
+        Row::MapKeyframes
+        | Row::MapChunks
+        | Row::SplatVisibleGaussians
+        | Row::SplatRowEntries
+        | Row::SplatPairs
+        | Row::SplatViews => 0,
         Row::StorePageQueue => bytes(budget.store_capacity().page_bytes),
         Row::StoreImageQueue => input.pixels() * channels,
         Row::StoreKeyframeTable => bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>()),
         Row::TelemetryFrameRecords => bytes(size_of::<FrameReport>() + size_of::<StageTimes>()),
+        Row::ProcessComputeDriver => u64::from(input.compute != ComputeMemory::Cpu),
         Row::ProcessCodeAndStacks | Row::ProcessCameraChild => 1,
     }
 }
 
-/// The splat backend's own plan.
-struct SplatSizes([MemoryRow; 9]);
+/// The splat backends' own plans.
+struct SplatSizes {
+    cpu: [MemoryRow; 9],
+    copy: [MemoryRow; 4],
+    capacities: Capacities,
+}
 
 impl SplatSizes {
     fn of(budget: &Budget, input: &PlanInput) -> Self {
-        Self(CpuBackend::memory_plan(&budget.splat_capacities(input)))
+        let capacities = budget.splat_capacities(input);
+        Self { cpu: CpuBackend::memory_plan(&capacities), copy: HostCopy::memory_plan(&capacities), capacities }
     }
 
-    fn find(&self, name: &str) -> Option<&MemoryRow> {
-        let found = self.0.iter().find(|part| part.name == name);
-        debug_assert!(found.is_some(), "the splat backend has no row {name}");
-        found
+    /// A device backend has the CPU backend behind it where the row lies on both sides. A device without memory of its
+    /// own gives that memory back before the CPU backend takes it.
+    fn cost_each(&self, row: Row, budget: &Budget, compute: ComputeMemory) -> Cost {
+        let names = splat_rows(row);
+        let cpu: u64 = names.iter().map(|name| each(&self.cpu, name, row)).sum();
+        let copy: u64 = names.iter().map(|name| each(&self.copy, name, row)).sum();
+        let on_cpu = Cost { host: cpu, device: 0, arena: 0 };
+        if compute == ComputeMemory::Cpu || names.is_empty() {
+            return on_cpu;
+        }
+        let arena = arena_bytes_each(row, budget, &self.capacities);
+        let has_substitute = budget.entry(row).location != Location::Device;
+        match (compute, has_substitute) {
+            (ComputeMemory::Cpu, _) => on_cpu,
+            (ComputeMemory::SharedDevice, true) => Cost { host: cpu.max(arena) + copy, device: 0, arena },
+            (ComputeMemory::SharedDevice, false) => Cost { host: arena, device: 0, arena },
+            (ComputeMemory::OwnDevice, true) => Cost { host: cpu + copy, device: arena, arena },
+            (ComputeMemory::OwnDevice, false) => Cost { host: 0, device: arena, arena },
+        }
     }
+}
 
-    fn each(&self, name: &str) -> u64 {
-        self.find(name).map_or(0, |part| part.bytes_per_element as u64)
+/// The rows of a splat backend's plan that a row of the budget pays for.
+fn splat_rows(row: Row) -> &'static [&'static str] {
+    match row {
+        Row::MapAnchors => &["splat.anchors"],
+        Row::MapKeyframes => &["splat.keyframe_rows"],
+        Row::MapKeyframeImages => &["splat.exposure_slots"],
+        Row::MapChunks => &["splat.chunk_rows"],
+        Row::SplatVisibleGaussians => &["splat.visible_gaussians"],
+        Row::SplatRowEntries => &["splat.row_entries"],
+        Row::SplatPairs => &["splat.pairs"],
+        Row::SplatViews => &["splat.image_pixels", "splat.training_pixels"],
+        _ => &[],
     }
+}
 
-    fn all(&self, name: &str) -> u64 {
-        self.find(name).map_or(0, |part| part.bytes() as u64)
+/// Bytes of one element; a view's are the bytes of all its pixels.
+fn each(plan: &[MemoryRow], name: &str, row: Row) -> u64 {
+    let part = plan.iter().find(|part| part.name == name);
+    part.map_or(0, |part| if row == Row::SplatViews { part.bytes() as u64 } else { part.bytes_per_element as u64 })
+}
+
+/// Bytes of the arena for one element of `row`: what the arena would shrink by with one element instead of all, and the
+/// rest of it for the view.
+fn arena_bytes_each(row: Row, budget: &Budget, capacities: &Capacities) -> u64 {
+    let all = arena_bytes(capacities);
+    let share = |row: Row, shrink: fn(&mut Capacities)| {
+        let mut shrunk = *capacities;
+        shrink(&mut shrunk);
+        all.saturating_sub(arena_bytes(&shrunk)).div_ceil(budget.entry(row).capacity.max(1))
+    };
+    let shares: [(Row, fn(&mut Capacities)); 7] = [
+        (Row::MapAnchors, |c| c.anchors = 1),
+        (Row::MapKeyframes, |c| c.keyframe_rows = 1),
+        (Row::MapKeyframeImages, |c| c.exposure_slots = 1),
+        (Row::MapChunks, |c| c.chunk_rows = 1),
+        (Row::SplatVisibleGaussians, |c| c.visible_gaussians = 1),
+        (Row::SplatRowEntries, |c| c.row_entries = 1),
+        (Row::SplatPairs, |c| c.pairs = 1),
+    ];
+    match shares.iter().find(|(of, _)| *of == row) {
+        Some(&(of, shrink)) => share(of, shrink),
+        None => {
+            let others = shares.iter().map(|&(of, shrink)| share(of, shrink) * budget.entry(of).capacity);
+            all.saturating_sub(others.sum())
+        }
     }
 }
 
@@ -119,29 +210,45 @@ impl SplatSizes {
 mod tests {
     use super::*;
 
-    #[test]
-    fn every_row_of_the_splat_backend_is_in_the_plan() {
-        let budget = Budget::builtin().expect("valid");
-        let input = PlanInput {
+    fn input(compute: ComputeMemory) -> PlanInput {
+        PlanInput {
             width: 1241,
             height: 376,
             frame_bytes: 1241 * 376 * 3,
             color_channels: 3,
             mapping_resolution: 0.5,
-            device_has_own_memory: false,
-        };
-        let splat = SplatSizes::of(&budget, &input);
-        let all: u64 = splat.0.iter().map(|part| part.bytes() as u64).sum();
-        let planned = |row: Row| bytes_each(row, &budget, &input) * budget.entry(row).capacity;
-        let host_part = |row: Row, each: usize| planned(row) - each as u64 * budget.entry(row).capacity;
-        let image = input.mapping_pixels() as usize * 4;
-        let sum = host_part(Row::MapAnchors, mapper::BYTES_PER_ANCHOR)
-            + host_part(Row::MapKeyframeImages, image)
-            + [Row::MapKeyframes, Row::MapChunks, Row::SplatVisibleGaussians, Row::SplatRowEntries, Row::SplatPairs]
-                .into_iter()
-                .chain([Row::SplatViews])
-                .map(planned)
-                .sum::<u64>();
-        assert_eq!(sum, all);
+            compute,
+        }
+    }
+
+    fn sum_of(compute: ComputeMemory, part: fn(&Cost) -> u64) -> u64 {
+        let budget = Budget::builtin().expect("valid");
+        let input = input(compute);
+        let sizes = SplatSizes::of(&budget, &input);
+        super::super::ROWS
+            .iter()
+            .map(|spec| part(&sizes.cost_each(spec.row, &budget, compute)) * budget.entry(spec.row).capacity)
+            .sum()
+    }
+
+    fn bytes_of(rows: &[MemoryRow]) -> u64 {
+        rows.iter().map(|part| part.bytes() as u64).sum()
+    }
+
+    #[test]
+    fn every_row_of_the_splat_backends_is_in_the_plan() {
+        let capacities = Budget::builtin().expect("valid").splat_capacities(&input(ComputeMemory::Cpu));
+        let cpu = bytes_of(&CpuBackend::memory_plan(&capacities));
+        let copy = bytes_of(&HostCopy::memory_plan(&capacities));
+        let arena = arena_bytes(&capacities);
+        assert_eq!(sum_of(ComputeMemory::Cpu, |cost| cost.host), cpu);
+        assert_eq!(sum_of(ComputeMemory::Cpu, |cost| cost.device + cost.arena), 0);
+        assert_eq!(sum_of(ComputeMemory::OwnDevice, |cost| cost.host), cpu + copy);
+        assert!(sum_of(ComputeMemory::SharedDevice, |cost| cost.host) >= cpu.max(arena) + copy);
+        for compute in [ComputeMemory::SharedDevice, ComputeMemory::OwnDevice] {
+            let planned = sum_of(compute, |cost| cost.arena);
+            // Shares are rounded up to bytes per element.
+            assert!((arena..arena + (4 << 20)).contains(&planned), "{planned} for an arena of {arena}");
+        }
     }
 }

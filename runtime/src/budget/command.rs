@@ -1,6 +1,8 @@
 //! `kilogs budget`: prints the memory plan.
 
-use super::{Budget, BudgetError, Plan, PlanInput};
+use super::{Budget, Plan, PlanInput};
+use crate::compute::{BackendChoice, Compute};
+use crate::run_error::RunError;
 use std::path::PathBuf;
 
 /// Options of `kilogs budget`.
@@ -18,7 +20,7 @@ pub struct BudgetArgs {
     pub camera: PlanCameraArgs,
 }
 
-/// The camera to plan for.
+/// The camera and the compute device to plan for.
 #[derive(Debug, Clone, clap::Args)]
 pub struct PlanCameraArgs {
     /// Width and height of the camera's image, px.
@@ -27,20 +29,30 @@ pub struct PlanCameraArgs {
     /// Bytes of a pixel on the wire: 1 for grey, 3 for color.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=4))]
     pub pixel_bytes: u32,
+    /// What computes the map.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
+    pub backend: BackendChoice,
+    /// Number of the Vulkan device, as `kilogs doctor` lists them.
+    #[arg(long, value_name = "N")]
+    pub device: Option<u32>,
 }
 
 impl PlanCameraArgs {
-    /// What the plan has to know, for a backend that computes in host memory.
-    pub fn plan_input(&self, mapping_resolution: f64) -> PlanInput {
+    /// What the plan has to know.
+    ///
+    /// # Errors
+    /// [`RunError::Device`] when a device was asked for that cannot be had.
+    pub fn plan_input(&self, mapping_resolution: f64) -> Result<PlanInput, RunError> {
         let (width, height) = self.size;
-        PlanInput {
+        let compute = Compute::choose(self.backend, self.device)?.memory();
+        Ok(PlanInput {
             width,
             height,
             frame_bytes: u64::from(width) * u64::from(height) * u64::from(self.pixel_bytes),
             color_channels: if self.pixel_bytes == 1 { 1 } else { 3 },
             mapping_resolution,
-            device_has_own_memory: false,
-        }
+            compute,
+        })
     }
 }
 
@@ -57,14 +69,14 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 /// Prints the plan, then refuses one that does not fit.
 ///
 /// # Errors
-/// [`BudgetError`] for a file that cannot be used and for a plan above its cap.
-pub fn run(args: &BudgetArgs, mapping_resolution: f64) -> Result<(), BudgetError> {
+/// [`RunError`] for a file or a device that cannot be used, and for a plan above its cap.
+pub fn run(args: &BudgetArgs, mapping_resolution: f64) -> Result<(), RunError> {
     let budget = Budget::load(args.budget.as_deref())?;
-    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping_resolution));
+    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping_resolution)?);
     if !args.check {
         println!("{plan}");
     }
-    plan.check()
+    Ok(plan.check()?)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What a budget costs for a given camera, row by row, and whether that fits.
 
-use super::bytes_each::{PlanInput, bytes_each};
+use super::bytes_each::{ComputeMemory, Cost, PlanInput, cost_each};
 use super::human_size::HumanBytes;
 use super::rows::{Location, ROWS, Row, WhenFull};
 use super::{Budget, BudgetError};
@@ -50,6 +50,7 @@ pub struct PlanRow {
     pub when_full: WhenFull,
     host_bytes: u64,
     device_bytes: u64,
+    arena_bytes: u64,
 }
 
 /// All rows with their costs.
@@ -111,6 +112,11 @@ impl Plan {
         self.bytes_in(Domain::Device)
     }
 
+    /// Planned bytes of a device backend's arena, wherever it lies; 0 without a device.
+    pub fn arena_bytes(&self) -> u64 {
+        self.rows.iter().fold(0, |sum, row| sum.saturating_add(row.arena_bytes))
+    }
+
     /// Planned bytes of shared memory, counted once.
     pub fn ipc_bytes(&self) -> u64 {
         let shared = self.rows.iter().filter(|row| row.location == Location::Ipc);
@@ -153,15 +159,12 @@ impl PlanRow {
 
 fn plan_row(row: Row, budget: &Budget, input: &PlanInput) -> PlanRow {
     let entry = budget.entry(row);
-    let bytes_each = bytes_each(row, budget, input);
-    let bytes = bytes_each.saturating_mul(entry.capacity);
-    let (host_bytes, device_bytes) = match (entry.location, input.device_has_own_memory) {
-        (Location::Host, _) | (Location::Device | Location::Both, false) => (bytes, 0),
-        (Location::Device, true) => (0, bytes),
-        (Location::Both, true) => (bytes, bytes),
-        // Shared pages count in the resident set of the process that writes them and of the one that reads them.
-        (Location::Ipc, _) => (bytes.saturating_mul(2), 0),
-    };
+    let Cost { host, device, arena } = cost_each(row, budget, input);
+    let of_all = |bytes: u64| bytes.saturating_mul(entry.capacity);
+    let bytes_each = host + device;
+    let bytes = of_all(bytes_each);
+    // Shared pages count in the resident set of the process that writes them and of the one that reads them.
+    let views = if entry.location == Location::Ipc { 2 } else { 1 };
     PlanRow {
         row,
         capacity: entry.capacity,
@@ -169,8 +172,9 @@ fn plan_row(row: Row, budget: &Budget, input: &PlanInput) -> PlanRow {
         bytes,
         location: entry.location,
         when_full: entry.when_full,
-        host_bytes,
-        device_bytes,
+        host_bytes: of_all(host).saturating_mul(views),
+        device_bytes: of_all(device),
+        arena_bytes: of_all(arena),
     }
 }
 
@@ -192,12 +196,13 @@ impl fmt::Display for Plan {
             "row", "capacity", "each", "bytes", "where", "when full"
         )?;
         for row in &self.rows {
-            let capacity = if row.row.counts_bytes() { "-".to_owned() } else { row.capacity.to_string() };
+            let counts_bytes = row.row.counts_bytes();
+            let capacity = if counts_bytes { "-".to_owned() } else { row.capacity.to_string() };
             writeln!(
                 f,
                 "{:<27} {:>10} {:>10} {:>10}  {:<6} {:<16} {}",
                 row.row,
-                if row.bytes_each == 0 { row.capacity.to_string() } else { capacity },
+                capacity,
                 HumanBytes(row.bytes_each),
                 HumanBytes(row.bytes),
                 row.location.name(),
@@ -215,7 +220,16 @@ impl fmt::Display for Plan {
             judge(host, self.host_cap_bytes),
             HumanBytes(self.ipc_bytes())
         )?;
-        let own = if input.device_has_own_memory { "" } else { " (the backend computes in host memory)" };
+        let own = match input.compute {
+            ComputeMemory::Cpu => " (the CPU computes)".to_owned(),
+            ComputeMemory::OwnDevice => format!(" (its arena is {})", HumanBytes(self.arena_bytes())),
+            ComputeMemory::SharedDevice => {
+                format!(
+                    " (the device uses host memory: its arena of {} is counted there)",
+                    HumanBytes(self.arena_bytes())
+                )
+            }
+        };
         write!(
             f,
             "device {:>10} of {:>8}  {}{own}",

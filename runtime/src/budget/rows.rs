@@ -83,6 +83,7 @@ pub enum Row {
     StoreKeyframeTable,
     TelemetryFrameRecords,
     ProcessCodeAndStacks,
+    ProcessComputeDriver,
     ProcessCameraChild,
 }
 
@@ -149,6 +150,7 @@ rows! {
     StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe and a page of the finished map, to judge it", HOST, Refuse, 64..=1 << 24;
     TelemetryFrameRecords = ["telemetry"."frame_records"], "a frame's figures on their way to the log", HOST, Refuse, 8..=1 << 20;
     ProcessCodeAndStacks = ["process"."code_and_stacks"], "a byte of code, thread stacks, allocator slack, iceoryx2", HOST, Refuse, 1 << 20..=1 << 32;
+    ProcessComputeDriver = ["process"."compute_driver"], "a byte of the compute device's driver; none without a device", HOST, Refuse, 1 << 20..=1 << 32;
     ProcessCameraChild = ["process"."camera_child"], "a byte of the capture process beside the shared frames", HOST, Refuse, 1 << 20..=1 << 32;
 }
 
@@ -163,7 +165,7 @@ impl Row {
 
     /// The capacity counts bytes, so that a file may say `30 MiB`.
     pub fn counts_bytes(self) -> bool {
-        matches!(self, Self::ProcessCodeAndStacks | Self::ProcessCameraChild)
+        matches!(self, Self::ProcessCodeAndStacks | Self::ProcessComputeDriver | Self::ProcessCameraChild)
     }
 }
 

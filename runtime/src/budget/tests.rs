@@ -8,7 +8,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     frame_bytes: 1241 * 376 * 3,
     color_channels: 3,
     mapping_resolution: 0.5,
-    device_has_own_memory: false,
+    compute: ComputeMemory::Cpu,
 };
 
 const FULL_HD: PlanInput = PlanInput { width: 1920, height: 1080, frame_bytes: 1920 * 1080 * 3, ..COLOR_KITTI };
@@ -171,11 +171,24 @@ fn lowering_the_named_row_to_the_named_capacity_makes_the_plan_fit() {
 fn a_device_with_its_own_memory_has_its_own_cap() {
     let budget = profile("memory_budget.toml");
     let on_host = Plan::compute(&budget, &COLOR_KITTI);
-    let on_device = Plan::compute(&budget, &PlanInput { device_has_own_memory: true, ..COLOR_KITTI });
+    let on_device = Plan::compute(&budget, &PlanInput { compute: ComputeMemory::OwnDevice, ..COLOR_KITTI });
     assert_eq!(on_host.device_bytes(), 0);
-    assert!(on_device.device_bytes() > 0 && on_device.host_bytes() < on_host.host_bytes() + on_device.device_bytes());
+    assert!(on_device.device_bytes() > 0, "its arena");
+    let added = on_device.host_bytes() - on_host.host_bytes();
+    let driver = budget.capacity(Row::ProcessComputeDriver) as u64;
+    assert!(
+        (driver..driver + (64 << 20)).contains(&added),
+        "{added}: the driver, and what the host remembers of the map"
+    );
+    let shared = Plan::compute(&budget, &PlanInput { compute: ComputeMemory::SharedDevice, ..COLOR_KITTI });
+    assert_eq!(shared.device_bytes(), 0);
+    assert!(
+        shared.host_bytes() >= driver + shared.arena_bytes() && shared.arena_bytes() > 0,
+        "its arena is on the host"
+    );
     let small = with_line("[total]", "device_bytes", "device_bytes = \"1 MiB\"").expect("valid");
-    let message = Plan::compute(&small, &PlanInput { device_has_own_memory: true, ..COLOR_KITTI }).check().unwrap_err();
+    let message =
+        Plan::compute(&small, &PlanInput { compute: ComputeMemory::OwnDevice, ..COLOR_KITTI }).check().unwrap_err();
     assert!(message.to_string().contains("device memory"), "{message}");
 }
 
@@ -199,4 +212,28 @@ fn a_file_beats_a_profile_of_the_same_name_and_a_missing_file_is_explained() {
     assert!(Budget::load(Some(Path::new("tiny.toml"))).is_ok());
     let message = Budget::load(Some(&dir.path().join("none.toml"))).unwrap_err().to_string();
     assert!(message.contains("none.toml") && message.contains("--budget"), "{message}");
+}
+
+#[test]
+fn one_row_too_large_for_a_device_is_named() {
+    let check = |compute: ComputeMemory, row: &str, capacity: u64, domain: &str| {
+        let large = with_line(&format!("[{row}]"), "capacity", &format!("capacity = {capacity}")).expect("in range");
+        let message = Plan::compute(&large, &PlanInput { compute, ..COLOR_KITTI }).check().unwrap_err().to_string();
+        for part in [domain, &format!("[{row}] takes"), "set its capacity to at most"] {
+            assert!(message.contains(part), "{part:?} is not in {message:?}");
+        }
+    };
+    let (own, shared) = (ComputeMemory::OwnDevice, ComputeMemory::SharedDevice);
+    check(shared, "splat.pairs", 60_000_000, "host memory");
+    check(shared, "splat.row_entries", 12_000_000, "host memory");
+    check(own, "splat.pairs", 60_000_000, "memory");
+}
+
+#[test]
+fn the_default_holds_a_software_device() {
+    let plan = Plan::compute(
+        &profile("memory_budget.toml"),
+        &PlanInput { compute: ComputeMemory::SharedDevice, ..COLOR_KITTI },
+    );
+    assert!(plan.check().is_ok(), "{plan}");
 }

@@ -1,6 +1,7 @@
 //! Options that every command which tracks and maps understands.
 
 use crate::budget::Budget;
+use crate::compute::{BackendChoice, Compute};
 use crate::config::ConfigArgs;
 use crate::run_error::RunError;
 use crate::settings::Settings;
@@ -31,19 +32,6 @@ pub struct CommonArgs {
     /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub seed: u64,
-}
-
-/// What computes the map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum BackendChoice {
-    /// The best one that is there.
-    Auto,
-    /// This processor.
-    Cpu,
-    /// A Vulkan device.
-    Vulkan,
-    /// A device through wgpu.
-    Wgpu,
 }
 
 /// Instruction set of the CPU kernels.
@@ -78,20 +66,12 @@ impl CommonArgs {
         Ok(Budget::load(self.budget.as_deref())?)
     }
 
-    /// Checks that the asked-for backend exists in this version.
+    /// What computes the map.
     ///
     /// # Errors
-    /// [`RunError::Device`] for a device backend: this version computes on the CPU.
-    pub fn check_backend(&self) -> Result<(), RunError> {
-        let name = match self.backend {
-            BackendChoice::Auto | BackendChoice::Cpu if self.device.is_none() => return Ok(()),
-            BackendChoice::Auto | BackendChoice::Cpu => "--device",
-            BackendChoice::Vulkan => "--backend vulkan",
-            BackendChoice::Wgpu => "--backend wgpu",
-        };
-        Err(RunError::Device(format!(
-            "choosing the compute device: {name} is not available in this version, which computes on the CPU; use --backend cpu"
-        )))
+    /// [`RunError::Device`] when a device was asked for that cannot be had.
+    pub fn compute(&self) -> Result<Compute, RunError> {
+        Compute::choose(self.backend, self.device)
     }
 
     /// The instruction set to use.

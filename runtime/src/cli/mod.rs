@@ -83,7 +83,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
             let settings = crate::config::load(&command.config)?;
-            Ok(crate::budget::run(&command.args, settings.mapping.mapper.resolution)?)
+            crate::budget::run(&command.args, settings.mapping.mapper.resolution)
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;

@@ -2,14 +2,12 @@
 
 use super::Finding;
 use crate::budget::{HumanBytes, Plan};
+use crate::compute;
 use crate::splat::cpu::SimdLevel;
-use std::path::Path;
+use crate::splat::vulkan::{DeviceInfo, list_devices};
 
 /// Where the frames of the capture process lie.
 const SHARED_MEMORY: &str = "/dev/shm";
-
-/// Where Vulkan drivers announce themselves.
-const VULKAN_DRIVERS: [&str; 2] = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"];
 
 pub(super) fn cores() -> Finding {
     let subject = "cores";
@@ -84,18 +82,21 @@ fn meminfo_available(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim_end().parse::<u64>().ok()?.checked_mul(1024)
 }
 
-pub(super) fn vulkan() -> Finding {
-    let drivers: Vec<String> = VULKAN_DRIVERS.iter().flat_map(|folder| file_names(Path::new(folder))).collect();
-    let installed = if drivers.is_empty() { "none".to_owned() } else { drivers.join(", ") };
-    let found = format!("not used: this version renders and trains on the CPU only (drivers installed: {installed})");
-    Finding::fine("Vulkan", found)
-}
-
-fn file_names(folder: &Path) -> Vec<String> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return vec![] };
-    let mut names: Vec<_> = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
+/// A line per device, and whether `--backend auto` takes it.
+pub(super) fn vulkan() -> Vec<Finding> {
+    let subject = "Vulkan";
+    let devices = match list_devices() {
+        Ok(devices) if !devices.is_empty() => devices,
+        Ok(_) => return vec![Finding::fine(subject, "no device: the CPU computes the map".to_owned())],
+        Err(error) => return vec![Finding::fine(subject, format!("not used, the CPU computes the map ({error})"))],
+    };
+    let found = |device: &DeviceInfo| {
+        let by_auto = compute::is_chosen_by_auto(device.kind) && device.missing.is_none();
+        let number = device.number;
+        let how = if by_auto { "used".to_owned() } else { format!("only with --backend vulkan --device {number}") };
+        Finding::fine(subject, format!("{device}: {how}"))
+    };
+    devices.iter().map(found).collect()
 }
 
 pub(super) fn models() -> Finding {

@@ -62,15 +62,18 @@ pub struct NotReady {
 pub fn examine(args: &DoctorArgs, mapping_resolution: f64) -> Vec<Finding> {
     let mut findings = vec![checks::cores(), checks::simd()];
     match Budget::load(args.budget.as_deref()) {
-        Ok(budget) => {
-            let plan = Plan::compute(&budget, &args.camera.plan_input(mapping_resolution));
-            findings.push(checks::shared_memory(plan.ipc_bytes()));
-            findings.push(checks::budget(&plan, budget.file()));
-            findings.push(checks::machine_memory(plan.host_bytes()));
-        }
+        Ok(budget) => match args.camera.plan_input(mapping_resolution) {
+            Ok(input) => {
+                let plan = Plan::compute(&budget, &input);
+                findings.push(checks::shared_memory(plan.ipc_bytes()));
+                findings.push(checks::budget(&plan, budget.file()));
+                findings.push(checks::machine_memory(plan.host_bytes()));
+            }
+            Err(error) => findings.push(Finding::mend("device", "cannot be used".to_owned(), error.to_string())),
+        },
         Err(error) => findings.push(Finding::mend("budget", "cannot be used".to_owned(), error.to_string())),
     }
-    findings.push(checks::vulkan());
+    findings.extend(checks::vulkan());
     findings.push(checks::models());
     findings
 }
@@ -93,9 +96,11 @@ pub fn run(args: &DoctorArgs, mapping_resolution: f64) -> Result<(), NotReady> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::compute::BackendChoice;
 
     fn args(budget: Option<&str>, size: (u32, u32)) -> DoctorArgs {
-        DoctorArgs { budget: budget.map(PathBuf::from), camera: PlanCameraArgs { size, pixel_bytes: 3 } }
+        let camera = PlanCameraArgs { size, pixel_bytes: 3, backend: BackendChoice::Auto, device: None };
+        DoctorArgs { budget: budget.map(PathBuf::from), camera }
     }
 
     fn subjects_to_mend(args: &DoctorArgs) -> Vec<&'static str> {

@@ -80,7 +80,7 @@ fn the_plan_of_the_shipped_budget_is_listed_with_its_peaks() {
         frame_bytes: 1241 * 376,
         color_channels: 1,
         mapping_resolution: 0.5,
-        device_has_own_memory: false,
+        compute: crate::budget::ComputeMemory::Cpu,
     };
     let plan = Plan::compute(&budget, &input);
     let usage = Usage::default();

@@ -60,6 +60,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
         memory: Memory {
             rss_peak_bytes: Some(watch.own().peak_bytes),
             camera_rss_peak_bytes: watch.camera().map(|camera| camera.peak_bytes),
+            device_peak_bytes: plan.compute.device_peak_bytes(),
             sealed_allocations: sealed.sealed_allocations,
             rss_slope_bytes_per_km: watch.rss_slope_bytes_per_km(),
             ..Memory::planned(&plan.memory, usage, plan.budget.host_bytes(), plan.budget.device_bytes())
@@ -67,8 +68,8 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
         tracking: told.tally.tracking(trajectory.path_length_m),
         mapping: mapping.map_or_else(Mapping::default, |m| mapping_report(&m, &quality)),
         backend: Backend {
-            kind: mapping.map(|_| "cpu".to_owned()),
-            device: crate::telemetry::processor_name(),
+            kind: mapping.map(|_| plan.compute.kind().to_owned()),
+            device: plan.compute.name(),
             simd: Some(plan.simd.name().to_owned()),
             threads: plan.n_threads as u64,
         },

@@ -5,9 +5,7 @@ use crate::budget::Row;
 use crate::map_store::{DEFAULT_JPEG_QUALITY, StoreSettings, WhenBusy};
 use crate::mapping::{Mapper, MapperSettings};
 use crate::run_error::RunError;
-use crate::seal;
 use crate::splat::SplatBackend;
-use crate::splat::cpu::CpuBackend;
 use kilogs_core::features::corners::Corner;
 use kilogs_core::features::lk::Flow;
 use kilogs_core::features::tracks::{Track, TrackStorage};
@@ -31,16 +29,9 @@ pub fn mapper(plan: &RunPlan) -> Result<Mapper, RunError> {
 /// A backend of the budget's size.
 ///
 /// # Errors
-/// [`RunError::Device`].
+/// [`RunError`] of the device, or of the row that it cannot hold.
 pub fn backend(plan: &RunPlan) -> Result<Box<dyn SplatBackend>, RunError> {
-    let opened = CpuBackend::new(plan.budget.splat_capacities(&plan.memory_input), plan.n_threads, plan.simd, |_| {
-        // The pool's workers live as long as the backend: sealed from their first breath.
-        std::mem::forget(seal::enter());
-    });
-    match opened {
-        Ok(backend) => Ok(Box::new(backend)),
-        Err(e) => Err(RunError::Device(e.to_string())),
-    }
+    plan.compute.open(&plan.backend())
 }
 
 /// What the map says about itself.

@@ -1,8 +1,9 @@
 //! What a run is going to do, checked before anything is started.
 
 use super::given_poses::GivenPoses;
-use crate::budget::{Budget, Plan, PlanInput};
+use crate::budget::{Budget, ComputeMemory, Location, Plan, PlanInput, Row};
 use crate::cli::CommonArgs;
+use crate::compute::{BackendPlan, Compute};
 use crate::input::ServiceFormat;
 use crate::run_error::RunError;
 use crate::settings::Settings;
@@ -60,6 +61,8 @@ pub struct RunPlan {
     pub simd: SimdLevel,
     /// Threads of the mapper.
     pub n_threads: usize,
+    /// What computes the map.
+    pub compute: Compute,
     /// The command line as typed, for the report.
     pub command: String,
 }
@@ -70,7 +73,6 @@ impl RunPlan {
     /// # Errors
     /// [`RunError`] of configuration, budget, device or usage.
     pub fn new(args: &CommonArgs, format: SourceFormat, pace: Pace, out: &Path) -> Result<Self, RunError> {
-        args.check_backend()?;
         let settings = args.settings()?;
         let budget = args.budget()?;
         if format.mounting.is_none() {
@@ -95,7 +97,6 @@ impl RunPlan {
         out: &Path,
         max_gaussians: Option<usize>,
     ) -> Result<Self, RunError> {
-        args.check_backend()?;
         let mut settings = args.settings()?;
         let resolution = &mut settings.mapping.mapper.resolution;
         *resolution = resolution.max(MIN_INSERTION_WIDTH_PX / f64::from(format.camera.width)).min(1.0);
@@ -114,7 +115,8 @@ impl RunPlan {
         (settings, budget, training_resolution): (Settings, Budget, f64),
     ) -> Result<Self, RunError> {
         let simd = args.simd()?;
-        let memory_input = plan_input(&format, training_resolution);
+        let compute = args.compute()?;
+        let memory_input = plan_input(&format, training_resolution, compute.memory());
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
@@ -134,6 +136,7 @@ impl RunPlan {
             seed: args.seed,
             simd,
             n_threads: args.n_threads(pace == Pace::Live),
+            compute,
             command,
         })
     }
@@ -141,6 +144,17 @@ impl RunPlan {
     /// Frames come at the camera's pace.
     pub fn is_live(&self) -> bool {
         self.pace == Pace::Live
+    }
+
+    /// What the splat backend is made of.
+    pub fn backend(&self) -> BackendPlan {
+        BackendPlan {
+            capacities: self.budget.splat_capacities(&self.memory_input),
+            arena_cap_bytes: self.memory.arena_bytes(),
+            has_substitute: self.budget.entry(Row::MapAnchors).location == Location::Both,
+            n_threads: self.n_threads,
+            simd: self.simd,
+        }
     }
 
     /// Bytes of one frame on the wire.
@@ -154,13 +168,13 @@ impl RunPlan {
     }
 }
 
-fn plan_input(format: &SourceFormat, mapping_resolution: f64) -> PlanInput {
+fn plan_input(format: &SourceFormat, mapping_resolution: f64, compute: ComputeMemory) -> PlanInput {
     PlanInput {
         width: format.camera.width,
         height: format.camera.height,
         frame_bytes: format.frame_bytes(),
         color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
         mapping_resolution,
-        device_has_own_memory: false,
+        compute,
     }
 }

@@ -252,7 +252,7 @@ impl<'run> Supervisor<'run> {
             rss_bytes: self.watch.own().rss_bytes,
             rss_peak_bytes: self.watch.own().peak_bytes,
             budget_host_bytes: self.plan.budget.host_bytes(),
-            device_bytes: 0,
+            device_bytes: self.plan.compute.arena_bytes(),
             ipc_bytes: self.plan.memory.ipc_bytes(),
             store_bytes: progress.store_bytes.load(Ordering::Relaxed),
             frames_received: counts.received(),

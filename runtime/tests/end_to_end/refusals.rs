@@ -133,8 +133,8 @@ fn settings_and_options_that_cannot_be_used_are_refused() {
     refused(&["--set", "tracking.matcher=disk"], 2, "not available in this version; write classical");
     refused(&["--set", "mapping.resolution"], 2, "--set");
     refused(&["--config", "no_such.toml"], 2, "check the path given with --config");
-    refused(&["--backend", "vulkan"], 4, "use --backend cpu");
-    refused(&["--device", "0"], 4, "--device is not available");
+    refused(&["--backend", "vulkan", "--device", "999"], 4, "--backend cpu needs none");
+    refused(&["--backend", "cpu", "--device", "0"], 2, "--device chooses among Vulkan devices");
     refused(&["--threads", "0"], 2, "--threads");
     refused(&["--no-such-option"], 2, "--no-such-option");
 

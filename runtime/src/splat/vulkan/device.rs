@@ -29,6 +29,12 @@ pub(super) struct HostImport {
     pub(super) alignment: u64,
 }
 
+impl std::fmt::Debug for VulkanDevice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("VulkanDevice").field(&self.info).finish()
+    }
+}
+
 impl VulkanDevice {
     /// Opens the device that `request` means.
     ///

@@ -34,13 +34,7 @@ impl WgpuExecutor {
             arena.reserve(row.name, row.bytes() as u64, 16)?;
         }
         let device_bytes = arena.used_bytes() as usize;
-        let no_device = |reason: String| DeviceError::NoDevice { api: "wgpu", reason };
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-        let options = wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            ..wgpu::RequestAdapterOptions::default()
-        };
-        let adapter = pollster::block_on(instance.request_adapter(&options)).map_err(|e| no_device(e.to_string()))?;
+        let adapter = best_adapter()?;
         let limits = adapter.limits();
         check_limits(&plan, &limits)?;
         let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..wgpu::DeviceDescriptor::default() };
@@ -64,6 +58,15 @@ impl WgpuExecutor {
         let landing = create_landing(&device, 16);
         let name = adapter.get_info().name;
         Ok(Self { device, queue, pipelines, buffers, bind_groups, landing, failure, name, device_bytes })
+    }
+
+    /// Name of the best adapter, and whether it has memory of its own.
+    ///
+    /// # Errors
+    /// [`DeviceError::NoDevice`].
+    pub fn describe() -> Result<(String, bool), DeviceError> {
+        let info = best_adapter()?.get_info();
+        Ok((info.name, info.device_type == wgpu::DeviceType::DiscreteGpu))
     }
 
     fn check(&self, doing: &'static str) -> Result<(), DeviceError> {
@@ -99,6 +102,19 @@ impl WgpuExecutor {
             }
         }
     }
+}
+
+fn best_adapter() -> Result<wgpu::Adapter, DeviceError> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let options = wgpu::RequestAdapterOptions {
+        power_preference: wgpu::PowerPreference::HighPerformance,
+        ..wgpu::RequestAdapterOptions::default()
+    };
+    pollster::block_on(instance.request_adapter(&options)).map_err(|e| no_device(e.to_string()))
+}
+
+fn no_device(reason: String) -> DeviceError {
+    DeviceError::NoDevice { api: "wgpu", reason }
 }
 
 fn check_limits(plan: &[MemoryRow], limits: &wgpu::Limits) -> Result<(), DeviceError> {

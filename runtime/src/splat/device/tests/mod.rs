@@ -1,4 +1,5 @@
 mod devices;
+mod fallback;
 mod gradients;
 mod pictures;
 mod table;

@@ -6,7 +6,7 @@ use crate::splat::program::{Buffer, buffer_plan};
 use crate::splat::vulkan::VulkanExecutor;
 use crate::splat::vulkan::testing::device;
 
-fn capacities() -> Capacities {
+pub(super) fn capacities() -> Capacities {
     Capacities::for_map(65_536, 2, 64, 48)
 }
 

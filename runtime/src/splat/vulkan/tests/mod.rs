@@ -2,3 +2,4 @@
 
 mod copies;
 mod pages;
+mod steady_state;
