@@ -7,6 +7,7 @@
 //! | pixels | x right, y down; the **centre** of the top-left pixel is (0.5, 0.5), and intrinsics are in that system |
 //! | quaternion | Hamilton, stored `[x, y, z, w]`, unit, `w >= 0` after normalisation |
 //! | tangent of SE(3) | `[omega, upsilon]`: rotation first, rad then m; **left** increment `exp(delta) * camera_from_world` |
+//! | covariance of a published pose | `[theta, p]` along the world's fixed axes, rad then m: the truth is `exp(theta) * R`, position + p (ROS: the same, translation first) |
 //! | scales of Gaussians | standard deviations in metres, stored as natural logarithms |
 //! | color | RGB in [0, 1] exactly as the camera encoded it (gamma), blended as is, like reference 3DGS |
 //! | time | integer nanoseconds, middle of the exposure |

@@ -96,7 +96,7 @@ pub struct Flow {
 
 impl Flow {
     /// A point that is expected at `expected_px`.
-    pub fn new(source_px: [f32; 2], expected_px: [f32; 2]) -> Self {
+    pub const fn new(source_px: [f32; 2], expected_px: [f32; 2]) -> Self {
         Self { source_px, target_px: expected_px, verdict: LkVerdict::Pending }
     }
 }

@@ -9,7 +9,7 @@ pub const WINDOW: usize = 8;
 pub type Column = usize;
 
 /// A scene point and where the keyframes of the window saw it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Landmark {
     /// One over the depth along the host's optical axis, 1/m; meaningful when `sigma` is above 0.
     pub inverse_depth: f64,
@@ -30,10 +30,29 @@ pub struct Landmark {
 
 const _: () = assert!(WINDOW <= u8::BITS as usize);
 
+impl Default for Landmark {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 impl Landmark {
+    /// Fills storage that is still to be written.
+    pub const NONE: Self = Self {
+        inverse_depth: 0.0,
+        sigma: 0.0,
+        kept_inverse_depth: 0.0,
+        seen_z1: [[0.0; 2]; WINDOW],
+        seen: 0,
+        host: 0,
+        is_outlier: false,
+        is_tracked: false,
+        track_id: 0,
+    };
+
     /// Forgets everything; the slot is free.
     pub fn clear(&mut self) {
-        *self = Self::default();
+        *self = Self::NONE;
     }
 
     /// Whether any keyframe of the window saw it.

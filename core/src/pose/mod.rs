@@ -20,9 +20,9 @@ pub use p3p::p3p;
 pub use pnp::{PnpEstimate, PnpSettings, TooFewLandmarks, estimate_pnp};
 pub use polynomial::real_roots;
 pub use refine_pose::{LandmarkMatch, PoseRefinement, refine_pose};
-pub use refine_relative::{RelativeRefinement, refine_relative};
+pub use refine_relative::{RelativeRefinement, refine_relative, relative_covariance};
 pub use robust::{RelativeEstimate, RelativeSettings, TooFewMatches, estimate_relative, trials_needed};
-pub use step_length::fit_step_length;
+pub use step_length::{StepLength, fit_step_length};
 pub use triangulate::{InverseDepth, Sighting, triangulate_inverse_depth};
 
 use nalgebra::Vector2;

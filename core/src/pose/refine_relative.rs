@@ -2,7 +2,7 @@
 
 use super::{Match, RelativePose, Stop, essential_of};
 use crate::math::se3::skew;
-use nalgebra::{Matrix3, Matrix5, Unit, UnitQuaternion, Vector3, Vector5};
+use nalgebra::{Matrix3, Matrix5, Matrix6, Matrix6x5, Unit, UnitQuaternion, Vector3, Vector5, Vector6};
 
 /// A motion with what the iteration knows about it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,6 +150,48 @@ pub fn refine_relative(
         }
     }
     RelativeRefinement { second_from_first: best, cost, stop }
+}
+
+/// Covariance of a step whose rotation and direction come from matches and whose length from elsewhere.
+///
+/// With t = length * direction the increments of the minimum map to the left increment `[omega, upsilon]` by
+/// upsilon = length * (tangents * ab) + t x omega.
+///
+/// # Inputs
+/// * `matches`, `at`, `cutoff_z1`: as for [`refine_relative`], at the minimum.
+/// * `noise_z1`: standard deviation of a match's distance on the plane z = 1.
+/// * `length_m`, `sigma_m`: length of the step and its standard deviation, m.
+///
+/// # Output
+/// `[6, 6]` covariance of the left increment of `second_from_first` (rad, m); `None` when the matches do not
+/// determine rotation and direction.
+///
+/// # Cost
+/// O(n).
+///
+/// # Source
+/// Hartley & Zisserman 2004, sec. 5.2.3 (backward transport of covariance). Own implementation.
+pub fn relative_covariance(
+    matches: &[Match],
+    at: &RelativePose,
+    noise_z1: f64,
+    cutoff_z1: f64,
+    length_m: f64,
+    sigma_m: f64,
+) -> Option<Matrix6<f64>> {
+    let tangents = tangent_plane(&at.direction);
+    let (information, _) = normal_equations(at, &tangents, matches, noise_z1 * noise_z1, cutoff_z1 * cutoff_z1);
+    let covariance = information.cholesky()?.inverse() * (noise_z1 * noise_z1);
+    let mut by_increments = Matrix6x5::zeros();
+    by_increments.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+    by_increments.fixed_view_mut::<3, 3>(3, 0).copy_from(&(skew(&at.direction) * length_m));
+    for (k, tangent) in tangents.iter().enumerate() {
+        by_increments.fixed_view_mut::<3, 1>(3, 3 + k).copy_from(&(tangent * length_m));
+    }
+    let along = at.direction * sigma_m;
+    let along = Vector6::new(0.0, 0.0, 0.0, along.x, along.y, along.z);
+    let found = by_increments * covariance * by_increments.transpose() + along * along.transpose();
+    found.iter().all(|v| v.is_finite()).then_some(found)
 }
 
 fn normal_equations(

@@ -3,6 +3,15 @@
 use super::{LandmarkMatch, RelativePose};
 use nalgebra::Vector3;
 
+/// A length with its doubt.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepLength {
+    /// The length, m, at least 0.
+    pub length_m: f64,
+    /// Its standard deviation, m.
+    pub sigma_m: f64,
+}
+
 const MAX_STEPS: usize = 20;
 /// Width of the Cauchy kernel in standard deviations (95 % efficiency on Gaussian noise, Rey 1983).
 const KERNEL_SIGMAS: f64 = 2.3849;
@@ -21,7 +30,7 @@ const NEGLIGIBLE_RATIO: f64 = 1e-6;
 /// * `noise_z1`: standard deviation of a sighting on the plane z = 1, per axis.
 ///
 /// # Output
-/// The length, m, at least 0; `None` when no landmark tells it.
+/// The length; `None` when no landmark tells it.
 ///
 /// # Cost
 /// O(n * 20).
@@ -33,9 +42,9 @@ pub fn fit_step_length(
     second_from_first: &RelativePose,
     start_m: f64,
     noise_z1: f64,
-) -> Option<f64> {
+) -> Option<StepLength> {
     let direction = second_from_first.direction;
-    let mut length_m = start_m;
+    let (mut length_m, mut sigma_m) = (start_m, f64::INFINITY);
     for _ in 0..MAX_STEPS {
         let (mut information, mut gradient) = (0.0, 0.0);
         for m in matches {
@@ -57,13 +66,14 @@ pub fn fit_step_length(
         if information.is_nan() || information <= 0.0 {
             return None;
         }
+        sigma_m = 1.0 / libm::sqrt(information);
         let step = gradient / information;
         length_m = (length_m - step).max(0.0);
         if step.abs() <= NEGLIGIBLE_RATIO * length_m {
             break;
         }
     }
-    length_m.is_finite().then_some(length_m)
+    length_m.is_finite().then_some(StepLength { length_m, sigma_m })
 }
 
 #[cfg(test)]
@@ -95,7 +105,8 @@ mod tests {
             })
             .collect();
         let found = fit_step_length(&matches, &motion, 0.5, 1e-3).expect("near landmarks");
-        assert!((found - 1.7).abs() < 0.03, "{found}");
+        assert!((found.length_m - 1.7).abs() < 0.03, "{found:?}");
+        assert!(found.sigma_m > 0.0 && found.sigma_m < 0.1, "{found:?}");
         let far: Vec<_> = matches.iter().map(|m| LandmarkMatch { inverse_depth: 0.0, ..*m }).collect();
         assert_eq!(fit_step_length(&far, &motion, 0.5, 1e-3), None);
         assert_eq!(fit_step_length(&[], &motion, 0.5, 1e-3), None);

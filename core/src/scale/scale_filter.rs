@@ -33,6 +33,9 @@ pub enum ScaleUpdate {
         correction: f64,
         /// Weight that the robust kernel left, 0 to 1.
         weight: f64,
+        /// Kalman gains of the logarithm of the scale and of its drift, 1/m: shares of the measured error that they
+        /// took over.
+        gains: [f64; 2],
     },
     /// The measurement jumps implausibly.
     Reject {
@@ -72,9 +75,19 @@ impl ScaleFilter {
         }
     }
 
-    /// Standard deviation of the logarithm of the scale.
-    pub fn sigma(&self) -> f64 {
-        libm::sqrt(self.variance)
+    /// Variance of the logarithm of the scale.
+    pub fn variance(&self) -> f64 {
+        self.variance
+    }
+
+    /// Covariance of that logarithm with its drift, 1/m.
+    pub fn covariance_with_rate(&self) -> f64 {
+        self.covariance
+    }
+
+    /// Measurements that were merged.
+    pub fn n_measurements(&self) -> u32 {
+        self.n_measurements
     }
 
     /// Expected drift of the logarithm, 1/m.
@@ -129,7 +142,7 @@ impl ScaleFilter {
         self.rate_variance -= rate_gain * self.covariance;
         self.covariance *= 1.0 - gain;
         self.variance *= 1.0 - gain;
-        ScaleUpdate::Accept { correction: libm::exp(gain * log_ratio), weight }
+        ScaleUpdate::Accept { correction: libm::exp(gain * log_ratio), weight, gains: [gain, rate_gain] }
     }
 }
 

@@ -1,5 +1,6 @@
 //! The pose of one frame against the last keyframe.
 
+use super::drift::step_covariance;
 use super::settings::{DynamicFilter, PoseModels};
 use super::tracker::{Motion, NO_LANDMARK, Tracker, seconds_between};
 use super::{FrameStatus, PoseModel, StatusReason};
@@ -7,9 +8,12 @@ use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::{Track, TrackReport};
 use crate::math::Rng;
-use crate::pose::{LandmarkMatch, Match, RelativePose, estimate_pnp, estimate_relative, fit_step_length};
+use crate::pose::{
+    LandmarkMatch, Match, RelativePose, StepLength, estimate_pnp, estimate_relative, fit_step_length,
+    relative_covariance,
+};
 use crate::verify::{MotionVerdict, judge_motion};
-use nalgebra::{Translation3, Vector2, Vector3};
+use nalgebra::{Matrix6, Translation3, Vector2, Vector3};
 
 /// Random streams of the robust loops.
 const PURPOSE_PNP: u64 = 1;
@@ -22,6 +26,9 @@ const MIN_ROAD_SINE: f64 = 0.05;
 /// A step shorter than this has no direction, m.
 const SHORTEST_STEP_M: f64 = 1e-6;
 
+/// How far the speed so far tells the length of a step before there are landmarks, relative.
+const COASTED_LENGTH_RATIO: f64 = 0.3;
+
 /// What became of a frame's pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FramePose {
@@ -33,6 +40,8 @@ pub(super) struct FramePose {
     pub(super) is_standing: bool,
     /// Whether the length of the step was measured or predicted from measured ones.
     pub(super) is_metric: bool,
+    /// Covariance of the left increment against the last keyframe (rad, m); nothing for the length's scale.
+    pub(super) step_covariance: Matrix6<f64>,
     pub(super) n_matches: usize,
     pub(super) n_inliers: usize,
     pub(super) n_dynamic: usize,
@@ -53,6 +62,7 @@ impl FramePose {
             is_keyframe: false,
             is_standing: false,
             is_metric: false,
+            step_covariance: Matrix6::zeros(),
             n_matches: 0,
             n_inliers: 0,
             n_dynamic: 0,
@@ -164,7 +174,12 @@ impl Tracker<'_> {
     fn standing(&self) -> FramePose {
         let n = self.tracks.tracks().len();
         let model = if self.is_started { PoseModel::Pnp } else { PoseModel::Essential };
-        FramePose { is_standing: true, ..FramePose::solved(&self.newest.camera_from_world, model, n, n) }
+        let step_covariance = self.standing_covariance();
+        FramePose {
+            is_standing: true,
+            step_covariance,
+            ..FramePose::solved(&self.newest.camera_from_world, model, n, n)
+        }
     }
 
     /// Whether most points on and beside the road, where any motion must show, have not moved since the keyframe.
@@ -227,7 +242,9 @@ impl Tracker<'_> {
         }
         let camera_from_world = found.refined.camera_from_reference * keyframe_from_world;
         let n_dynamic = n - n_inliers;
-        Some(FramePose { n_dynamic, ..FramePose::solved(&camera_from_world, PoseModel::Pnp, n, n_inliers) })
+        let step_covariance = step_covariance(&found.refined.information);
+        let solved = FramePose::solved(&camera_from_world, PoseModel::Pnp, n, n_inliers);
+        Some(FramePose { n_dynamic, step_covariance, ..solved })
     }
 
     /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.
@@ -254,14 +271,18 @@ impl Tracker<'_> {
             n_dynamic: n - found.n_inliers,
             ..FramePose::solved(&keyframe_from_world, PoseModel::Essential, n, found.n_inliers)
         };
-        let step_m = self.length_of_step(&motion, length_m, &mut pose)?;
-        let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * step_m), motion.rotation);
+        let StepLength { length_m, sigma_m } = self.length_of_step(&motion, length_m, &mut pose)?;
+        let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * length_m), motion.rotation);
+        let (noise_z1, cutoff_z1) = (self.settings.noise_z1(&self.camera), settings.inlier_z1);
+        let matches = self.scratch.matches.get(..n)?;
+        pose.step_covariance = relative_covariance(matches, &motion, noise_z1, cutoff_z1, length_m, sigma_m)
+            .unwrap_or_else(|| step_covariance(&Matrix6::zeros()));
         pose.camera_from_world = camera_from_keyframe * keyframe_from_world;
         Some(pose)
     }
 
     /// Metres of the step since the keyframe: from landmarks, else from the road, else from the speed so far.
-    fn length_of_step(&mut self, motion: &RelativePose, predicted_m: f64, pose: &mut FramePose) -> Option<f64> {
+    fn length_of_step(&mut self, motion: &RelativePose, predicted_m: f64, pose: &mut FramePose) -> Option<StepLength> {
         let n = if self.is_started { self.collect_landmark_matches() } else { 0 };
         if n >= self.settings.min_inliers {
             let matches = self.scratch.landmark_matches.get(..n)?;
@@ -270,10 +291,12 @@ impl Tracker<'_> {
         if let Some(measured) = self.road_step(motion, predicted_m) {
             pose.n_road = measured.n_pixels;
             pose.is_metric = true;
-            return Some(measured.step_m);
+            // Its error is that of the scale.
+            return Some(StepLength { length_m: measured.step_m, sigma_m: 0.0 });
         }
         pose.is_metric = false;
-        self.motion.is_known().then_some(predicted_m)
+        let sigma_m = COASTED_LENGTH_RATIO * predicted_m;
+        self.motion.is_known().then_some(StepLength { length_m: predicted_m, sigma_m })
     }
 
     /// Fills the matches of all live tracks with the keyframe and returns their number.

@@ -1,6 +1,7 @@
 //! One frame through all tracking stages: the calculator's front door for the pipeline.
 
 mod depths;
+mod drift;
 mod frame_pose;
 mod promotion;
 mod road;
@@ -9,10 +10,14 @@ mod storage;
 mod tracker;
 
 pub use settings::{DynamicFilter, PoseModels, TrackingSettings};
-pub use storage::{BYTES_PER_LANDMARK, BYTES_PER_TRACK, N_PYRAMIDS, TrackerCapacities, TrackerStorage};
-pub use tracker::{Tracker, TrackerStorageProblem};
+pub use storage::{
+    BYTES_PER_LANDMARK, BYTES_PER_TRACK, N_PYRAMIDS, TrackerCapacities, TrackerFill, TrackerStorage,
+    TrackerStorageProblem,
+};
+pub use tracker::Tracker;
 
 use crate::conventions::{Rigid, TimestampNs};
+use nalgebra::Matrix6;
 
 /// What became of a frame. Frames that never reached the tracker (`dropped`) are counted by the pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,6 +109,10 @@ pub struct FrameReport {
     pub keyframe_from_camera: Rigid,
     /// Pose in the odometry world.
     pub world_from_camera: Rigid,
+    /// Covariance of `world_from_camera` since the first frame, positive definite: `[theta, p]` along the axes of the
+    /// world, see [`conventions`](crate::conventions). Grows with the way driven, and faster while frames are not
+    /// tracked.
+    pub covariance: Matrix6<f64>,
     /// Live tracks in this frame.
     pub n_tracks: u32,
     /// Matches that went into the solver.

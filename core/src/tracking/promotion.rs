@@ -43,9 +43,13 @@ impl Tracker<'_> {
         self.tracks.promote(self.simd, &self.pyramids[self.current_slot], &self.settings.tracks);
         self.link_landmarks();
         self.adopt_new_tracks(column);
+        if let Some(adjusted) = self.window.newest() {
+            pose.camera_from_world = adjusted.camera_from_world;
+        }
+        self.note_drift(pose);
+        self.drift_at_keyframe = self.drift;
         self.note_newest();
         self.publish_points();
-        pose.camera_from_world = self.newest.camera_from_world;
         pose.is_keyframe = true;
     }
 

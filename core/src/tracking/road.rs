@@ -64,6 +64,7 @@ impl Tracker<'_> {
         let earlier_from_later = earlier_k.camera_from_world * later_k.camera_from_world.inverse();
         let step_m = earlier_from_later.translation.vector.norm();
         let drift = self.scale.drive(step_m, &self.settings.scale);
+        self.drift_at_keyframe.drive(step_m);
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
             earlier: &self.pyramids[earlier_slot],
@@ -77,7 +78,8 @@ impl Tracker<'_> {
         let Ok(found) = measured else { return nothing };
         let ratio = self.mounting.height_m / found.height_m / drift;
         let update = self.scale.update(ratio, found.relative_sigma, step_m, &self.settings.scale);
-        if let ScaleUpdate::Accept { correction, weight } = update {
+        if let ScaleUpdate::Accept { correction, weight, gains } = update {
+            self.drift_at_keyframe.correct_scale(gains);
             self.window.rescale(correction, earlier, self.landmarks);
             if weight > BELIEVED_WEIGHT {
                 self.learn_normal(&found);

@@ -1,6 +1,6 @@
 //! The memory that a tracker works in: counted by the budget, handed in by the caller.
 
-use super::KeyframePoint;
+use super::{KeyframePoint, Tracker};
 use crate::bundle::ReducedSystem;
 use crate::features::corners::Corner;
 use crate::features::lk::Flow;
@@ -8,6 +8,7 @@ use crate::features::tracks::{Track, TrackStorage};
 use crate::frame::pyramid;
 use crate::keyframe::Landmark;
 use crate::pose::{LandmarkMatch, Match};
+use core::fmt;
 
 /// Pyramids that a tracker holds: the last keyframe, the frame before the current one, the current one.
 pub const N_PYRAMIDS: usize = 3;
@@ -38,6 +39,17 @@ impl TrackerCapacities {
             + self.landmarks * BYTES_PER_LANDMARK
             + size_of::<ReducedSystem>()
     }
+}
+
+/// How full a tracker's storage is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TrackerFill {
+    /// Pyramids that have held an image.
+    pub pyramids: usize,
+    /// Landmarks in use.
+    pub landmarks: usize,
+    /// Keyframes in the window.
+    pub keyframes: usize,
 }
 
 /// Bytes per track: the track, the scratch of its search, its matches and its published point.
@@ -94,5 +106,45 @@ impl TrackerStorage<'_> {
         .into_iter()
         .fold(usize::MAX, usize::min);
         (shortest, needed)
+    }
+}
+
+/// The slices of a [`TrackerStorage`] do not fit the capacities: a mistake of the caller, to be mended there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TrackerStorageProblem {
+    /// What was too small.
+    pub what: &'static str,
+    /// Its size: elements, or bytes of a pyramid.
+    pub found: usize,
+    /// The size needed.
+    pub needed: usize,
+}
+
+impl fmt::Display for TrackerStorageProblem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "tracker storage: {} has {}, {} needed", self.what, self.found, self.needed)
+    }
+}
+
+impl core::error::Error for TrackerStorageProblem {}
+
+impl Tracker<'_> {
+    /// What this tracker's storage holds.
+    pub fn capacities(&self) -> TrackerCapacities {
+        TrackerCapacities {
+            width: self.camera.width as usize,
+            height: self.camera.height as usize,
+            tracks: self.tracks.capacity(),
+            landmarks: self.landmarks.len(),
+        }
+    }
+
+    /// How much of it is in use.
+    pub fn fill(&self) -> TrackerFill {
+        TrackerFill {
+            pyramids: self.n_slots_used,
+            landmarks: self.landmarks.iter().filter(|l| l.is_used()).count(),
+            keyframes: self.window.len(),
+        }
     }
 }

@@ -92,7 +92,15 @@ fn step(tracker: &mut Tracker<'_>, pixels: &[u8], frame: u64) -> FrameReport {
     let image = ImageView::new(pixels, WIDTH, HEIGHT, WIDTH).expect("size");
     let report = tracker.step(image, frame, (frame + 1) * FRAME_NS);
     assert!(report.world_from_camera.to_homogeneous().iter().all(|v| v.is_finite()), "{report:?}");
+    assert!(report.covariance.iter().all(|v| v.is_finite()), "{report:?}");
+    assert_eq!(report.covariance, report.covariance.transpose());
+    assert!(report.covariance.cholesky().is_some(), "positive definite: {report:?}");
     report
+}
+
+/// Standard deviation of the position, m.
+fn position_sigma_m(report: &FrameReport) -> f64 {
+    libm::sqrt((3..6).map(|k| report.covariance[(k, k)]).sum())
 }
 
 #[test]
@@ -108,6 +116,12 @@ fn a_drive_along_a_street_comes_out_in_metres() {
         assert!((end - truth).norm() < 0.05 * truth.norm(), "{end}");
         assert!(tracker.keyframe_points().len() > 30, "{}", tracker.keyframe_points().len());
         assert_eq!(tracker.road_plane().map(|road| road.height_m), Some(MOUNTING.height_m));
+        let sigmas_m: Vec<f64> = reports.iter().map(position_sigma_m).collect();
+        assert!(sigmas_m[0] < 1e-5, "the first frame defines the world: {sigmas_m:?}");
+        // The way of the first half cannot be corrected any more, so its error stays.
+        assert!(sigmas_m[15] > sigmas_m[8] && sigmas_m[8] > sigmas_m[4], "{sigmas_m:?}");
+        let off = (end - truth).norm() / sigmas_m[15];
+        assert!(off < 3.0, "{off} standard deviations off, {sigmas_m:?}");
     });
 }
 
@@ -131,9 +145,16 @@ fn black_images_are_lost_and_tracking_starts_anew_behind_them() {
         assert_eq!(step(tracker, &black, 0).status, FrameStatus::Lost);
         let first = step(tracker, &street(0.0), 1);
         assert_eq!((first.status, first.reason), (FrameStatus::Tracked, StatusReason::FirstFrame));
-        assert_eq!(step(tracker, &black, 2).status, FrameStatus::Lost);
-        assert_eq!(step(tracker, &street(0.0), 3).reason, StatusReason::Restarted);
-        assert_eq!(step(tracker, &street(0.0), 4).status, FrameStatus::Tracked);
+        let lost = step(tracker, &black, 2);
+        assert_eq!(lost.status, FrameStatus::Lost);
+        assert!(position_sigma_m(&lost) > 0.04, "0.1 s at some unknown speed: {}", position_sigma_m(&lost));
+        let restarted = step(tracker, &street(0.0), 3);
+        assert_eq!(restarted.reason, StatusReason::Restarted);
+        let tracked = step(tracker, &street(0.0), 4);
+        assert_eq!(tracked.status, FrameStatus::Tracked);
+        // What happened in the dark is never found out.
+        let sigmas_m = [&first, &lost, &restarted, &tracked].map(position_sigma_m);
+        assert!(sigmas_m.is_sorted(), "{sigmas_m:?}");
     });
 }
 

@@ -1,8 +1,9 @@
 //! The tracker: storage, state and the order of the stages.
 
+use super::drift::Drift;
 use super::frame_pose::FramePose;
 use super::settings::TrackingSettings;
-use super::storage::{N_PYRAMIDS, TrackerCapacities, TrackerStorage};
+use super::storage::{N_PYRAMIDS, TrackerStorage, TrackerStorageProblem};
 use super::{FrameReport, FrameStatus, KeyframePoint, PoseModel, RoadPlane, StatusReason};
 use crate::bundle::ReducedSystem;
 use crate::camera::{Mounting, Pinhole};
@@ -22,30 +23,11 @@ use nalgebra::{Vector3, Vector6};
 /// Levels of every pyramid, the full image included.
 pub(super) const PYRAMID_LEVELS: usize = 4;
 /// Prediction does not coast for longer than this, s.
-const MAX_COAST_S: f64 = 1.0;
+pub(super) const MAX_COAST_S: f64 = 1.0;
 /// Nanoseconds per second.
 const NS_PER_S: f64 = 1e9;
 /// A track without a landmark.
 pub(super) const NO_LANDMARK: u32 = u32::MAX;
-
-/// The slices of a [`TrackerStorage`] do not fit the capacities: a mistake of the caller, to be mended there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TrackerStorageProblem {
-    /// What was too small.
-    pub what: &'static str,
-    /// Its size: elements, or bytes of a pyramid.
-    pub found: usize,
-    /// The size needed.
-    pub needed: usize,
-}
-
-impl fmt::Display for TrackerStorageProblem {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "tracker storage: {} has {}, {} needed", self.what, self.found, self.needed)
-    }
-}
-
-impl core::error::Error for TrackerStorageProblem {}
 
 /// Scratch slices, all as long as the track table.
 pub(super) struct Scratch<'m> {
@@ -90,6 +72,7 @@ pub struct Tracker<'m> {
     pub(super) keyframe_slot: usize,
     pub(super) previous_slot: usize,
     pub(super) current_slot: usize,
+    pub(super) n_slots_used: usize,
     pub(super) tracks: TrackTable<'m>,
     pub(super) landmarks: &'m mut [Landmark],
     pub(super) window: KeyframeWindow,
@@ -100,6 +83,9 @@ pub struct Tracker<'m> {
     pub(super) n_keyframe_points: usize,
     pub(super) motion: Motion,
     pub(super) scale: ScaleFilter,
+    /// Error of the last believed pose.
+    pub(super) drift: Drift,
+    pub(super) drift_at_keyframe: Drift,
     pub(super) expected_normal: Vector3<f64>,
     pub(super) road: Option<RoadPlane>,
     /// Whether the window has landmarks with metric depth.
@@ -163,6 +149,7 @@ impl<'m> Tracker<'m> {
             keyframe_slot: 0,
             previous_slot: 0,
             current_slot: 0,
+            n_slots_used: 0,
             tracks,
             landmarks: storage.landmarks,
             window: KeyframeWindow::new(),
@@ -179,22 +166,14 @@ impl<'m> Tracker<'m> {
             n_keyframe_points: 0,
             motion: Motion { camera_from_world: identity, timestamp_ns: 0, velocity: Vector6::zeros(), prior: None },
             scale: ScaleFilter::new(&settings.scale),
+            drift: Drift::none(),
+            drift_at_keyframe: Drift::none(),
             expected_normal: mounting.road_normal_in_camera(),
             road: None,
             is_started: false,
             n_doubtful: 0,
             last_timestamp_ns: None,
         })
-    }
-
-    /// What this tracker's storage holds.
-    pub fn capacities(&self) -> TrackerCapacities {
-        TrackerCapacities {
-            width: self.camera.width as usize,
-            height: self.camera.height as usize,
-            tracks: self.tracks.capacity(),
-            landmarks: self.landmarks.len(),
-        }
     }
 
     /// The window of keyframes with their newest poses.
@@ -226,6 +205,7 @@ impl<'m> Tracker<'m> {
     pub fn step(&mut self, image: ImageView<'_>, frame_index: u64, timestamp_ns: TimestampNs) -> FrameReport {
         self.current_slot =
             (0..N_PYRAMIDS).find(|&slot| slot != self.keyframe_slot && slot != self.previous_slot).unwrap_or(0);
+        self.n_slots_used = self.n_slots_used.max(self.current_slot + 1);
         let is_later = self.last_timestamp_ns.is_none_or(|last| timestamp_ns > last);
         if !is_later || self.pyramids[self.current_slot].build(image).is_err() {
             let pose = FramePose::lost(&self.motion, StatusReason::Unusable);
@@ -255,6 +235,8 @@ impl<'m> Tracker<'m> {
             }
             if self.wants_keyframe(&pose, &track_report) {
                 self.promote(frame_index, timestamp_ns, &mut pose);
+            } else {
+                self.note_drift(&pose);
             }
             self.believe(&pose, timestamp_ns);
         } else {
@@ -325,6 +307,10 @@ impl<'m> Tracker<'m> {
         let column = self.window.push(frame_index, timestamp_ns, *predicted, self.landmarks);
         self.adopt_new_tracks(column);
         self.note_newest();
+        let pose = FramePose::predicted(predicted);
+        self.drift = if is_first_ever { Drift::none() } else { self.blind_drift(&pose, timestamp_ns) };
+        self.drift.forget_scale();
+        self.drift_at_keyframe = self.drift;
         self.motion.camera_from_world = *predicted;
         self.motion.timestamp_ns = timestamp_ns;
         self.n_doubtful = 0;
@@ -333,7 +319,7 @@ impl<'m> Tracker<'m> {
             reason: if is_first_ever { StatusReason::FirstFrame } else { StatusReason::Restarted },
             model: if is_first_ever { PoseModel::Origin } else { PoseModel::Predicted },
             is_keyframe: true,
-            ..FramePose::predicted(predicted)
+            ..pose
         }
     }
 
@@ -364,6 +350,8 @@ impl<'m> Tracker<'m> {
         tracks: &TrackReport,
     ) -> FrameReport {
         let world_from_camera = pose.camera_from_world.inverse();
+        let is_believed = pose.status == FrameStatus::Tracked;
+        let drift = if is_believed { self.drift } else { self.blind_drift(pose, timestamp_ns) };
         FrameReport {
             frame_index,
             timestamp_ns,
@@ -374,6 +362,7 @@ impl<'m> Tracker<'m> {
             keyframe_ordinal: self.newest.ordinal,
             keyframe_from_camera: self.newest.camera_from_world * world_from_camera,
             world_from_camera,
+            covariance: drift.covariance(),
             n_tracks: self.tracks.tracks().len() as u32,
             n_matches: pose.n_matches as u32,
             n_inliers: pose.n_inliers as u32,

@@ -1,7 +1,7 @@
 use super::*;
 use crate::output::Stage;
 use kilogs_core::tracking::{PoseModel, StatusReason};
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use tempfile::TempDir;
 
 const SPACING_NS: u64 = 100_000_000;
@@ -19,6 +19,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         keyframe_ordinal,
         keyframe_from_camera,
         world_from_camera: Rigid::translation(0.0, 0.0, 10.0 * f64::from(keyframe_ordinal)) * keyframe_from_camera,
+        covariance: Matrix6::identity(),
         n_tracks: 900,
         n_matches: 800,
         n_inliers: 700,

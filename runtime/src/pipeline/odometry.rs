@@ -77,7 +77,7 @@ impl OdometryStream {
     }
 }
 
-/// Row-major covariance of `odometry_from_camera` in tangent order; NaN where the tracker does not say.
-fn covariance(_report: &FrameReport) -> [f64; 36] {
-    [f64::NAN; 36]
+/// The tracker's covariance, row by row.
+fn covariance(report: &FrameReport) -> [f64; 36] {
+    std::array::from_fn(|i| report.covariance[(i / 6, i % 6)])
 }

@@ -88,7 +88,11 @@ pub struct OdometryMessage {
     pub map_from_odometry_scale: f64,
     /// Velocity of the camera in its own axes, m/s.
     pub velocity_in_camera_m_per_s: [f64; 3],
-    /// `[6, 6]` covariance of `odometry_from_camera` in tangent order (rotation rad, translation m).
+    /// `[6, 6]` covariance of `odometry_from_camera` since the first frame, row by row: three rotations (rad), then
+    /// three translations (m), both along the fixed axes of the odometry frame. The true rotation is
+    /// `exp(theta) * R`, the true position `p` further than the estimated one. It is that of ROS's `nav_msgs/Odometry`
+    /// but for the order: ROS has translations first. Always positive definite; grows with the way driven, and with
+    /// time while frames are doubtful or lost.
     pub covariance: [f64; 36],
 }
 
