@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Peaks and refusals of every row; shared by all threads, and free of allocation.
 #[derive(Debug, Default)]
 pub struct Usage {
+    /// One more than the most elements seen; 0 for a row that nobody looked at.
     peak: [AtomicU64; Row::COUNT],
     refused: [AtomicU64; Row::COUNT],
 }
@@ -13,7 +14,7 @@ pub struct Usage {
 impl Usage {
     /// Notes that `row` holds `elements` now.
     pub fn observe(&self, row: Row, elements: usize) {
-        self.peak[row as usize].fetch_max(elements as u64, Relaxed);
+        self.peak[row as usize].fetch_max((elements as u64).saturating_add(1), Relaxed);
     }
 
     /// Notes that `row` was full and turned `elements` away.
@@ -21,9 +22,9 @@ impl Usage {
         self.refused[row as usize].fetch_add(elements as u64, Relaxed);
     }
 
-    /// The most elements that `row` ever held.
-    pub fn peak(&self, row: Row) -> u64 {
-        self.peak[row as usize].load(Relaxed)
+    /// The most elements that `row` ever held; `None` when nobody looked.
+    pub fn peak(&self, row: Row) -> Option<u64> {
+        self.peak[row as usize].load(Relaxed).checked_sub(1)
     }
 
     /// Elements that `row` turned away.
@@ -49,7 +50,13 @@ mod tests {
         }
         usage.refuse(Row::MapAnchors, 2);
         usage.refuse(Row::SplatPairs, 5);
-        assert_eq!((usage.peak(Row::MapAnchors), usage.refused(Row::MapAnchors)), (7, 2));
-        assert_eq!((usage.peak(Row::MapVoxels), usage.refused_in_all()), (0, 7));
+        assert_eq!((usage.peak(Row::MapAnchors), usage.refused(Row::MapAnchors)), (Some(7), 2));
+        usage.observe(Row::MapKeyframes, 0);
+        assert_eq!(
+            (usage.peak(Row::MapVoxels), usage.peak(Row::MapKeyframes)),
+            (None, Some(0)),
+            "unknown is not empty"
+        );
+        assert_eq!(usage.refused_in_all(), 7);
     }
 }

@@ -3,6 +3,7 @@
 use super::StoreError;
 use kilogs_core::store::StoredKeyframe;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Memory that travels to the writing thread and back.
@@ -42,11 +43,31 @@ pub(super) enum Unavailable {
     Stopped,
 }
 
+/// Buffers of one pool.
+#[derive(Debug)]
+struct Buffers {
+    free: Vec<Buffer>,
+    count: usize,
+    most_taken: usize,
+}
+
+impl Buffers {
+    fn new((count, bytes): (usize, usize)) -> Self {
+        Self { free: (0..count).map(|_| vec![0; bytes].into_boxed_slice()).collect(), count, most_taken: 0 }
+    }
+
+    fn take(&mut self) -> Option<Buffer> {
+        let taken = self.free.pop()?;
+        self.most_taken = self.most_taken.max(self.count - self.free.len());
+        Some(taken)
+    }
+}
+
 #[derive(Debug)]
 struct State {
     jobs: VecDeque<Job>,
-    pages: Vec<Buffer>,
-    images: Vec<Buffer>,
+    pages: Buffers,
+    images: Buffers,
     job_running: bool,
     closing: bool,
     failure: Option<StoreError>,
@@ -54,7 +75,7 @@ struct State {
 }
 
 impl State {
-    fn pool(&mut self, pool: Pool) -> &mut Vec<Buffer> {
+    fn pool(&mut self, pool: Pool) -> &mut Buffers {
         match pool {
             Pool::Pages => &mut self.pages,
             Pool::Images => &mut self.images,
@@ -68,22 +89,28 @@ pub(super) struct Queue {
     capacity: usize,
     work_arrived: Condvar,
     room_arrived: Condvar,
+    bytes_on_disk: AtomicU64,
 }
 
 impl Queue {
     /// A queue for `capacity` jobs with pools of so many buffers of so many bytes.
     pub(super) fn new(capacity: usize, pages: (usize, usize), images: (usize, usize)) -> Self {
-        let buffers = |(count, bytes): (usize, usize)| (0..count).map(|_| vec![0; bytes].into_boxed_slice()).collect();
         let state = State {
             jobs: VecDeque::with_capacity(capacity),
-            pages: buffers(pages),
-            images: buffers(images),
+            pages: Buffers::new(pages),
+            images: Buffers::new(images),
             job_running: false,
             closing: false,
             failure: None,
             stopped: false,
         };
-        Self { state: Mutex::new(state), capacity, work_arrived: Condvar::new(), room_arrived: Condvar::new() }
+        Self {
+            state: Mutex::new(state),
+            capacity,
+            work_arrived: Condvar::new(),
+            room_arrived: Condvar::new(),
+            bytes_on_disk: AtomicU64::new(0),
+        }
     }
 
     // A panic in the other thread leaves the queue as consistent as any moment between two calls.
@@ -98,7 +125,7 @@ impl Queue {
             if state.stopped {
                 return Err(Unavailable::Stopped);
             }
-            if let Some(buffer) = state.pool(pool).pop() {
+            if let Some(buffer) = state.pool(pool).take() {
                 return Ok(buffer);
             }
             if !wait {
@@ -109,8 +136,24 @@ impl Queue {
     }
 
     pub(super) fn return_buffer(&self, pool: Pool, buffer: Buffer) {
-        self.lock().pool(pool).push(buffer);
+        self.lock().pool(pool).free.push(buffer);
         self.room_arrived.notify_all();
+    }
+
+    /// The most buffers that were ever taken at once.
+    pub(super) fn most_taken(&self, pool: Pool) -> usize {
+        self.lock().pool(pool).most_taken
+    }
+
+    /// Notes that files grew by `new` bytes and lost `old` bytes.
+    pub(super) fn count_bytes(&self, new: u64, old: u64) {
+        // What was counted before comes off, so the sum does not wrap in the end.
+        self.bytes_on_disk.fetch_add(new.wrapping_sub(old), Ordering::Relaxed);
+    }
+
+    /// Bytes of the store's files so far.
+    pub(super) fn bytes_on_disk(&self) -> u64 {
+        self.bytes_on_disk.load(Ordering::Relaxed)
     }
 
     /// Hands a job over; refused when there is no room and `wait` is false, or when writing stopped.
@@ -196,6 +239,7 @@ mod tests {
         let first = queue.take_buffer(Pool::Pages, false).expect("two buffers");
         let second = queue.take_buffer(Pool::Pages, false).expect("two buffers");
         assert_eq!(queue.take_buffer(Pool::Pages, false), Err(Unavailable::Busy));
+        assert_eq!((queue.most_taken(Pool::Pages), queue.most_taken(Pool::Images)), (2, 0));
         assert!(queue.push(page(1, first), false).is_ok());
         assert_eq!(queue.push(page(2, second), false), Err(Unavailable::Busy));
     }

@@ -1,6 +1,7 @@
 //! Whole stores, written and read back, also after things went wrong.
 
 mod limits;
+mod sizes;
 
 use super::*;
 use kilogs_core::camera::Pinhole;

@@ -6,7 +6,7 @@ use kilogs_core::frame::PixelFormat;
 use kilogs_core::store::{StoredKeyframe, encode_keyframe};
 use std::fs::File;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What the writing thread owns.
 pub(super) struct Worker {
@@ -38,35 +38,44 @@ impl Worker {
                 // A page without its keyframes is of no use: they reach the disk first.
                 self.sync_log()?;
                 let path = layout::page_path(&self.folder, page_id);
-                let written = layout::replace_file(&path, memory.get(..n_bytes).unwrap_or_default());
+                let written = replace_counted(&path, memory.get(..n_bytes).unwrap_or_default(), queue);
                 queue.return_buffer(Pool::Pages, memory);
                 written
             }
             Job::Chunk { chunk_id, memory, n_bytes } => {
                 let path = layout::chunk_path(&self.folder, chunk_id);
-                let written = layout::replace_file(&path, memory.get(..n_bytes).unwrap_or_default());
+                let written = replace_counted(&path, memory.get(..n_bytes).unwrap_or_default(), queue);
                 queue.return_buffer(Pool::Pages, memory);
                 written
             }
             Job::Keyframe { mut keyframe, pixels } => {
                 if let Some(mut pixels) = pixels {
-                    let written = self.write_image(&mut keyframe, &mut pixels);
+                    let written = self.write_image(&mut keyframe, &mut pixels, queue);
                     queue.return_buffer(Pool::Images, pixels);
                     written?;
                 }
                 let record = encode_keyframe(&keyframe);
                 let path = self.folder.join(layout::KEYFRAMES);
-                self.keyframe_log.write_all(&record).map_err(|e| StoreError::write("appending to", &path, e))
+                self.keyframe_log.write_all(&record).map_err(|e| StoreError::write("appending to", &path, e))?;
+                queue.count_bytes(record.len() as u64, 0);
+                Ok(())
             }
         }
     }
 
     /// The image is written before the record that names its checksum, so a torn one is noticed.
-    fn write_image(&mut self, keyframe: &mut StoredKeyframe, pixels: &mut [u8]) -> Result<(), StoreError> {
+    fn write_image(
+        &mut self,
+        keyframe: &mut StoredKeyframe,
+        pixels: &mut [u8],
+        queue: &Queue,
+    ) -> Result<(), StoreError> {
         let path = layout::image_path(&self.folder, keyframe.frame_index);
         jpeg::encode(pixels, self.image_size, self.pixel_format, self.jpeg_quality, &mut self.jpeg)
             .map_err(|e| StoreError::Image { path: path.clone(), reason: e.to_string() })?;
+        let old_bytes = file_bytes(&path);
         std::fs::write(&path, &self.jpeg).map_err(|e| StoreError::write("writing", &path, e))?;
+        queue.count_bytes(self.jpeg.len() as u64, old_bytes);
         keyframe.image_bytes = u32::try_from(self.jpeg.len()).unwrap_or(u32::MAX);
         keyframe.image_crc = crc32fast::hash(&self.jpeg);
         Ok(())
@@ -76,6 +85,19 @@ impl Worker {
         let path = self.folder.join(layout::KEYFRAMES);
         self.keyframe_log.sync_data().map_err(|e| StoreError::write("syncing", &path, e))
     }
+}
+
+/// Replaces a file and counts what the store gains or loses by it.
+fn replace_counted(path: &Path, bytes: &[u8], queue: &Queue) -> Result<(), StoreError> {
+    let old_bytes = file_bytes(path);
+    layout::replace_file(path, bytes)?;
+    queue.count_bytes(bytes.len() as u64, old_bytes);
+    Ok(())
+}
+
+/// Size of a file that may not be there.
+fn file_bytes(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |found| found.len())
 }
 
 struct StopWhenDropped<'a>(&'a Queue);

@@ -120,7 +120,8 @@ impl MapStoreWriter {
         let row_bytes = check_settings(manifest, settings)?;
         layout::prepare(folder)?;
         let manifest = Manifest { counts: None, ..*manifest };
-        layout::replace_file(&folder.join(layout::MANIFEST), &encode_manifest(&manifest))?;
+        let manifest_bytes = encode_manifest(&manifest);
+        layout::replace_file(&folder.join(layout::MANIFEST), &manifest_bytes)?;
         let log_path = folder.join(layout::KEYFRAMES);
         let keyframe_log = File::create(&log_path).map_err(|e| StoreError::write("creating", &log_path, e))?;
 
@@ -130,6 +131,7 @@ impl MapStoreWriter {
         let jobs = capacity.page_buffers + capacity.image_buffers + capacity.image_buffers.max(1);
         let pages = (capacity.page_buffers, capacity.page_bytes);
         let queue = Arc::new(Queue::new(jobs, pages, (capacity.image_buffers, image_bytes)));
+        queue.count_bytes(manifest_bytes.len() as u64, 0);
         let worker = Worker {
             folder: folder.to_owned(),
             keyframe_log,
@@ -150,6 +152,16 @@ impl MapStoreWriter {
     /// Folder of the map, for reading back pages that were [flushed](Self::flush).
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// Bytes of all files of the store so far.
+    pub fn bytes_on_disk(&self) -> u64 {
+        self.queue.bytes_on_disk()
+    }
+
+    /// The most page buffers and image buffers that were ever in use at once.
+    pub fn most_buffers(&self) -> [usize; 2] {
+        [Pool::Pages, Pool::Images].map(|pool| self.queue.most_taken(pool))
     }
 
     /// An empty page to be filled with [`PageEncoder::push`]. A page that is full is committed and another one

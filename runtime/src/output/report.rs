@@ -137,7 +137,7 @@ impl Memory {
         let row = |row: &crate::budget::PlanRow| MemoryRow {
             row: format!("{}.{}", row.row.spec().section, row.row.spec().name),
             bytes: row.bytes,
-            used_peak: usage.peak(row.row).saturating_mul(row.bytes_each),
+            used_peak: usage.peak(row.row).filter(|_| row.bytes_each > 0).map(|n| n.saturating_mul(row.bytes_each)),
             location: row.location.name().to_owned(),
             when_full: row.when_full.name().to_owned(),
         };
@@ -159,8 +159,9 @@ pub struct MemoryRow {
     pub row: String,
     /// Planned bytes.
     pub bytes: u64,
-    /// Bytes of the most elements it ever held; 0 for what is not observed.
-    pub used_peak: u64,
+    /// Bytes of the most elements it ever held; unknown for what cannot be observed, has no bytes of its own or was
+    /// not set up in this run.
+    pub used_peak: Option<u64>,
     /// `host`, `device`, `both` or `ipc`.
     #[serde(rename = "where")]
     pub location: String,

@@ -90,5 +90,12 @@ fn the_plan_of_the_shipped_budget_is_listed_with_its_peaks() {
     assert_eq!(memory.plan.len(), plan.rows().len());
     let anchors = memory.plan.iter().find(|row| row.row == "map.anchors").expect("a row");
     let each = anchors.bytes / budget.capacity(Row::MapAnchors) as u64;
-    assert_eq!((anchors.used_peak, memory.refusals), (10 * each, 3));
+    assert_eq!((anchors.used_peak, memory.refusals), (Some(10 * each), 3));
+    let voxels = memory.plan.iter().find(|row| row.row == "map.voxels").expect("a row");
+    assert_eq!(voxels.used_peak, None, "nobody looked");
+    // Counted in another row.
+    usage.observe(Row::StorePageAnchors, 5);
+    let memory = Memory::planned(&plan, &usage, budget.host_bytes(), budget.device_bytes());
+    let page_anchors = memory.plan.iter().find(|row| row.row == "store.page_anchors").expect("a row");
+    assert_eq!((page_anchors.bytes, page_anchors.used_peak), (0, None));
 }

@@ -43,7 +43,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     };
     let mut watch = told.watch;
     watch.read();
-    observe_at_the_end(plan, usage, mapping.as_ref(), &watch);
+    observe_at_the_end(usage, mapping.as_ref(), &watch);
     let (per_frame_ms, tracking_ms) = told.tally.percentiles();
     let iterations = mapping.map_or(0, |m| m.counters.iterations);
     let training_s = mapping.map_or(0.0, |m| m.training.as_secs_f64());
@@ -88,14 +88,8 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     told.camera_failure.map_or(Ok(()), Err)
 }
 
-/// Notes what is known only now, and the buffers that are in use as a whole from the first frame on.
-fn observe_at_the_end(plan: &RunPlan, usage: &Usage, mapping: Option<&MappingSummary>, watch: &MemoryWatch) {
-    let whole = [Row::IpcFrameSlots, Row::TrackingPyramids, Row::TrackingKeyframes];
-    let whole_when_mapping =
-        [Row::PipelineKeyframeQueue, Row::MapWorkspaces, Row::MapGaussiansPerAnchor, Row::SplatViews];
-    for row in whole.into_iter().chain(whole_when_mapping.into_iter().filter(|_| mapping.is_some())) {
-        usage.observe(row, plan.budget.capacity(row));
-    }
+/// Notes what is known only now.
+fn observe_at_the_end(usage: &Usage, mapping: Option<&MappingSummary>, watch: &MemoryWatch) {
     if let Some(mapping) = mapping {
         let counts = &mapping.store.counts;
         usage.observe(Row::StoreKeyframeTable, (counts.keyframes + counts.held_out) as usize);

@@ -47,6 +47,8 @@ pub struct MapperLink {
     /// In lock-step the job that came home.
     at_home: Option<Box<Job>>,
     n_dropped: u64,
+    n_jobs: usize,
+    usage: Arc<Usage>,
 }
 
 /// The mapping thread's end, and everything it owns.
@@ -70,7 +72,7 @@ pub struct MappingProgress {
     pub anchors_resident: AtomicU64,
     /// Training steps so far.
     pub iterations: AtomicU64,
-    /// Pages handed to the store so far, bytes.
+    /// Files of the map store so far, bytes.
     pub store_bytes: AtomicU64,
 }
 
@@ -121,7 +123,15 @@ pub fn prepare(
         let pushed = back.push(Box::new(job));
         debug_assert!(pushed.is_ok(), "the queue has room for every job");
     }
-    let link = MapperLink { jobs, free, waits: !plan.is_live(), at_home: None, n_dropped: 0 };
+    let link = MapperLink {
+        jobs,
+        free,
+        waits: !plan.is_live(),
+        at_home: None,
+        n_dropped: 0,
+        n_jobs,
+        usage: Arc::clone(usage),
+    };
     let work = MappingWork {
         mapper,
         store,
@@ -192,6 +202,7 @@ impl MapperLink {
         job.pixel_format = frame.pixel_format();
         job.report = Some(*report);
         job.times = StageTimes::default();
+        self.usage.observe(Row::PipelineKeyframeQueue, self.n_jobs.saturating_sub(self.free.n_waiting()));
         if self.jobs.push(job).is_err() {
             self.n_dropped += 1;
             return;
@@ -219,6 +230,7 @@ impl MappingWork {
         let mut n_jobs = 0_u64;
         let mut n_live_iterations = MAX_LIVE_ITERATIONS;
         loop {
+            self.progress.store_bytes.store(self.store.bytes_on_disk(), Ordering::Relaxed);
             let has_spare_work = self.pace == Pace::Live && n_live_iterations < MAX_LIVE_ITERATIONS;
             let patience = if has_spare_work { Duration::ZERO } else { IDLE_INTERVAL };
             match self.jobs.pop_within(patience) {
@@ -294,6 +306,7 @@ impl MappingWork {
         self.usage.observe(Row::MapAnchors, n_anchors);
         // Every anchor has one voxel.
         self.usage.observe(Row::MapVoxels, n_anchors);
+        self.usage.observe(Row::MapWorkspaces, 1);
         self.usage.observe(Row::MapNewAnchors, inserted.n_anchors as usize);
         for (row, n) in [
             (Row::MapKeyframeImages, n_keyframes),
@@ -316,6 +329,7 @@ impl MappingWork {
     fn train(&mut self, n_iterations: u32) {
         let started = Instant::now();
         let steps = self.mapper.optimize(n_iterations);
+        self.usage.observe(Row::SplatViews, usize::from(steps.visible_peak > 0));
         self.usage.observe(Row::SplatVisibleGaussians, steps.visible_peak as usize);
         self.usage.observe(Row::SplatRowEntries, steps.row_entries_peak as usize);
         self.usage.observe(Row::SplatPairs, steps.pairs_peak as usize);
@@ -363,7 +377,12 @@ impl MappingWork {
         self.usage.refuse(Row::MapAnchors, counters.refused as usize);
         // The mapper's memory is needed for judging the map.
         drop(self.mapper);
+        let [n_pages, n_images] = self.store.most_buffers();
+        self.usage.observe(Row::StorePageQueue, n_pages);
+        // The encoder's output is one of the row's images.
+        self.usage.observe(Row::StoreImageQueue, n_images + usize::from(n_images > 0));
         let store = self.store.finish()?;
+        self.progress.store_bytes.store(store.bytes.store_bytes, Ordering::Relaxed);
         let (training, n_images_left_out) = (self.training, self.n_images_left_out);
         Ok(MappingSummary { counters, anchors_resident, store, training, n_images_left_out })
     }

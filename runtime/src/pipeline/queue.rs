@@ -7,7 +7,7 @@ use std::time::Duration;
 /// Makes a queue that never holds more than `capacity` elements.
 pub fn queue<T>(capacity: usize) -> (Sender<T>, Receiver<T>) {
     let shared = Arc::new(Shared {
-        state: Mutex::new(State { waiting: VecDeque::with_capacity(capacity), is_closed: false }),
+        state: Mutex::new(State { waiting: VecDeque::with_capacity(capacity), most_waiting: 0, is_closed: false }),
         changed: Condvar::new(),
         capacity,
     });
@@ -43,6 +43,7 @@ struct Shared<T> {
 
 struct State<T> {
     waiting: VecDeque<T>,
+    most_waiting: usize,
     is_closed: bool,
 }
 
@@ -85,6 +86,7 @@ impl<T> Sender<T> {
             return Err(element);
         }
         state.waiting.push_back(element);
+        state.most_waiting = state.most_waiting.max(state.waiting.len());
         drop(state);
         self.shared.changed.notify_all();
         Ok(())
@@ -109,6 +111,16 @@ impl<T> Receiver<T> {
             None if is_closed => Received::Closed,
             None => Received::Empty,
         }
+    }
+
+    /// Elements that wait now.
+    pub fn n_waiting(&self) -> usize {
+        self.shared.lock().waiting.len()
+    }
+
+    /// The most elements that ever waited.
+    pub fn most_waiting(&self) -> usize {
+        self.shared.lock().most_waiting
     }
 
     /// Takes the oldest element, waiting for it as long as the sender lives.
@@ -146,6 +158,7 @@ mod tests {
         let (sender, receiver) = queue(2);
         assert_eq!([1, 2, 3].map(|n| sender.try_push(n)), [Ok(()), Ok(()), Err(3)]);
         assert_eq!(receiver.pop_within(SOON), Received::Element(1));
+        assert_eq!((receiver.n_waiting(), receiver.most_waiting()), (1, 2));
         assert_eq!(sender.try_push(4), Ok(()));
         drop(sender);
         assert_eq!(

@@ -64,7 +64,7 @@ pub fn supervise(
     // Before the camera is started: whoever creates the service decides how many slots it has.
     let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;
     let (odometry, poses) = queue::queue(odometry::CAPACITY);
-    let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, stop: &stop };
+    let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, usage: &usage, stop: &stop };
 
     let (told, tracked, mapped) = std::thread::scope(|scope| {
         let _ending = StopWhenDropped(&stop);
@@ -201,6 +201,8 @@ impl<'run> Supervisor<'run> {
             }
         }
         self.watch.read();
+        self.publish_health();
+        self.usage.observe(Row::TelemetryFrameRecords, incoming.most_waiting());
         self.bar.finish_and_clear();
         // A camera that was left alone by Ctrl-C has done nothing wrong.
         let is_interrupted = self.is_interrupted.load(Ordering::Relaxed);

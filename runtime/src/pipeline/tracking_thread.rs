@@ -5,6 +5,7 @@ use super::mapping_thread::MapperLink;
 use super::plan::RunPlan;
 use super::queue::Sender;
 use super::record::Record;
+use crate::budget::{Row, Usage};
 use crate::input::{BorrowedFrame, FrameInput, InputEvent};
 use crate::map_store::HeldOutRule;
 use crate::output::{Stage, StageTimes};
@@ -32,6 +33,8 @@ pub struct TrackingThread<'run> {
     pub records: Sender<Record>,
     /// Where poses go to be published.
     pub odometry: Sender<FrameReport>,
+    /// How full the rows of the budget are.
+    pub usage: &'run Usage,
     /// Set when the run shall end.
     pub stop: &'run AtomicBool,
 }
@@ -40,6 +43,7 @@ pub struct TrackingThread<'run> {
 struct State {
     gray: Vec<u8>,
     given_poses: Option<GivenPoses>,
+    slots: SlotsSeen,
     held_out: HeldOutRule,
     n_keyframes: u32,
     /// Frames of the camera process that sends at present.
@@ -58,6 +62,7 @@ impl TrackingThread<'_> {
         let mut state = State {
             gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
             given_poses: self.plan.given_poses.clone(),
+            slots: SlotsSeen::new(self.plan.budget.capacity(Row::IpcFrameSlots)),
             held_out: HeldOutRule::default(),
             n_keyframes: 0,
             n_frames_of_camera: 0,
@@ -85,6 +90,7 @@ impl TrackingThread<'_> {
                 InputEvent::CameraGone { silent_for } => {
                     // Meeting the next process takes memory, as meeting the first did.
                     (sealed, state.n_frames_of_camera) = (None, 0);
+                    state.slots.forget();
                     self.tell(Record::CameraGone { silent_for });
                 }
                 InputEvent::Timeout(_) => self.tell(Record::CameraSilent),
@@ -116,11 +122,27 @@ impl TrackingThread<'_> {
             given_poses.replace(&mut report);
         }
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
+        self.observe(frame, &mut state.slots);
         state.n_keyframes += u32::from(report.is_keyframe);
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);
         self.hand_to_mapper(frame, &report, state, &mut times);
         self.tell(Record::Frame { report, times });
+    }
+
+    /// Notes how full the tracker's containers are, and which slots of shared memory the camera has used.
+    fn observe(&self, frame: &BorrowedFrame<'_>, slots: &mut SlotsSeen) {
+        let is_gray = frame.pixel_format() == PixelFormat::Mono8;
+        let fill = self.tracker.fill();
+        for (row, n) in [
+            (Row::IpcFrameSlots, slots.see(frame.pixels())),
+            (Row::TrackingGrayImages, usize::from(!is_gray)),
+            (Row::TrackingPyramids, fill.pyramids),
+            (Row::TrackingLandmarks, fill.landmarks),
+            (Row::TrackingKeyframes, fill.keyframes),
+        ] {
+            self.usage.observe(row, n);
+        }
     }
 
     fn hand_to_mapper(
@@ -149,6 +171,32 @@ impl TrackingThread<'_> {
         if told.is_err() {
             log::debug!("a record found no room");
         }
+    }
+}
+
+/// The places in shared memory where frames have been met; a camera process goes round in them.
+struct SlotsSeen {
+    addresses: Vec<usize>,
+}
+
+impl SlotsSeen {
+    /// Remembers at most `n_slots` places, without taking memory later.
+    fn new(n_slots: usize) -> Self {
+        Self { addresses: Vec::with_capacity(n_slots) }
+    }
+
+    /// Notes where a frame lies; returns how many different places there were.
+    fn see(&mut self, pixels: &[u8]) -> usize {
+        let address = pixels.as_ptr().addr();
+        if !self.addresses.contains(&address) && self.addresses.len() < self.addresses.capacity() {
+            self.addresses.push(address);
+        }
+        self.addresses.len()
+    }
+
+    /// Another camera process has memory of its own.
+    fn forget(&mut self) {
+        self.addresses.clear();
     }
 }
 

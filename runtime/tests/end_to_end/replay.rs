@@ -10,6 +10,9 @@ use std::path::Path;
 /// first meters have few.
 const SCALE_TOLERANCE: f64 = 0.10;
 
+/// Rows whose bytes stand in another row, or cannot be told from the rest of the process.
+const NOT_OBSERVED: [&str; 3] = ["map.gaussians_per_anchor", "store.page_anchors", "process.code_and_stacks"];
+
 /// Runs `kilogs replay`.
 fn replay(drive: &Drive, out: &Path, n_threads: usize) {
     let threads = n_threads.to_string();
@@ -124,7 +127,18 @@ fn check_memory(report: &Value) {
     let plan = report.pointer("/memory/plan").and_then(Value::as_array).expect("a plan");
     assert!(plan.len() > 10, "{report}");
     for row in plan {
-        assert!(count(row, "/used_peak") <= count(row, "/bytes"), "{row}");
+        let name = row.pointer("/row").and_then(Value::as_str).expect("a name");
+        if NOT_OBSERVED.contains(&name) {
+            assert_eq!(row.pointer("/used_peak"), Some(&Value::Null), "{row}");
+            continue;
+        }
+        let used = count(row, "/used_peak");
+        assert!(used > 0 && used <= count(row, "/bytes"), "{row}");
+    }
+    // Whatever is filled by degrees is neither empty nor full after 30 m.
+    for name in ["tracking.tracks", "tracking.landmarks", "map.anchors", "map.voxels", "store.keyframe_table"] {
+        let row = plan.iter().find(|row| row.pointer("/row").and_then(Value::as_str) == Some(name)).expect("a row");
+        assert!(count(row, "/used_peak") < count(row, "/bytes"), "{row}");
     }
 }
 

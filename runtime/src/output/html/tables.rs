@@ -106,9 +106,9 @@ fn write_plan(page: &mut impl Write, plan: &[MemoryRow]) -> io::Result<()> {
             Escaped(&row.location),
             Escaped(&row.when_full),
             HumanBytes(row.bytes),
-            if row.used_peak == 0 { "–".to_owned() } else { HumanBytes(row.used_peak).to_string() },
+            row.used_peak.map_or_else(|| "–".to_owned(), |bytes| HumanBytes(bytes).to_string()),
             of_largest(row.bytes),
-            of_largest(row.used_peak.min(row.bytes)),
+            of_largest(row.used_peak.unwrap_or(0).min(row.bytes)),
         )?;
     }
     writeln!(page, "</tbody></table></section>")
