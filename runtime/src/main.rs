@@ -7,7 +7,8 @@ use std::process::ExitCode;
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info")).format_target(false).init();
+    let mut log = env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("info"));
+    log.format_target(false).format_timestamp_millis().init();
     match kilogs::cli::main() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -4,10 +4,13 @@ use crate::drive::Drive;
 use crate::program::{Program, word};
 use crate::replay::{check_counts, count, json};
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
-/// A camera that is gone is told within about a second; this leaves room for a busy machine.
-const TOLD_WITHIN: Duration = Duration::from_secs(5);
+/// A camera that is gone is told within a second, by the clock of the run itself.
+const TOLD_WITHIN: Duration = Duration::from_secs(1);
+
+/// A machine that is busy with other things may miss that once; a program that is too slow misses it always.
+const ATTEMPTS: usize = 3;
 
 /// Frames that pass before something happens.
 const SOME_FRAMES: Duration = Duration::from_millis(1500);
@@ -30,17 +33,24 @@ fn service_name(test: &str) -> String {
 fn a_camera_may_die_and_come_back() {
     let (drive, out, service) = (Drive::new(8.0), tempfile::tempdir().expect("a folder"), service_name("back"));
     let mut run = start_run(&drive, &service, out.path());
-    let camera = start_camera(&drive, &service);
+    let mut camera = start_camera(&drive, &service);
     run.wait_for("the camera is there", 1);
-    std::thread::sleep(SOME_FRAMES);
-    camera.kill();
-    let told_after = run.wait_for("the camera process is gone", 1);
-    println!("a killed camera is told after {:.2} s", told_after.as_secs_f64());
-    assert!(told_after < TOLD_WITHIN, "{told_after:?}");
-
-    let camera = start_camera(&drive, &service);
-    let back_after = run.wait_for("the camera is back", 1);
-    println!("a camera that is back is told after {:.2} s", back_after.as_secs_f64());
+    let mut told_after = Vec::new();
+    for attempt in 1..=ATTEMPTS {
+        std::thread::sleep(SOME_FRAMES);
+        let killed = SystemTime::now();
+        camera.kill();
+        run.wait_for("the camera process is gone", attempt);
+        told_after.push(run.said_after(killed, "the camera process is gone"));
+        camera = start_camera(&drive, &service);
+        let back_after = run.wait_for("the camera is back", attempt);
+        println!("a camera that is back is told after {:.2} s", back_after.as_secs_f64());
+        if told_after.iter().any(|after| *after < TOLD_WITHIN) {
+            break;
+        }
+    }
+    println!("a killed camera is told after {told_after:?}");
+    assert!(told_after.iter().any(|after| *after < TOLD_WITHIN), "{told_after:?}");
     std::thread::sleep(SOME_FRAMES);
     run.interrupt();
     let ended = run.wait();

@@ -3,7 +3,7 @@
 use std::ffi::OsStr;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 use tempfile::NamedTempFile;
 
 /// Longer than anything here takes on a busy machine; a run that is still there then hangs.
@@ -75,6 +75,20 @@ impl Program {
             std::thread::sleep(LOOK_INTERVAL);
         }
         started.elapsed()
+    }
+
+    /// How long after `moment` it said `text` for the last time, by its own clock: lines begin with
+    /// `[2026-01-31T23:59:59.123Z `.
+    pub fn said_after(&self, moment: SystemTime, text: &str) -> Duration {
+        const DAY_MS: i64 = 86_400_000;
+        let said = self.said();
+        let line = said.lines().rfind(|line| line.contains(text)).expect("it was said");
+        let clock = line.split(['T', 'Z']).nth(1).expect("a time");
+        let parts: Vec<i64> = clock.split([':', '.']).map(|part| part.parse().expect("a time")).collect();
+        let &[hours, minutes, seconds, milliseconds] = parts.as_slice() else { panic!("no time: {line}") };
+        let said_ms = ((hours * 60 + minutes) * 60 + seconds) * 1000 + milliseconds;
+        let moment_ms = moment.duration_since(SystemTime::UNIX_EPOCH).expect("after 1970").as_millis() as i64;
+        Duration::from_millis((said_ms - moment_ms).rem_euclid(DAY_MS).unsigned_abs())
     }
 
     /// What it has said so far.
