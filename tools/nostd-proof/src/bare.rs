@@ -2,7 +2,7 @@
 //!
 //! The only unsafe code of the proof; `kilogs-core` itself forbids it.
 
-use crate::problems;
+use crate::{drive, problems};
 use core::arch::{asm, global_asm};
 use core::panic::PanicInfo;
 
@@ -16,8 +16,13 @@ global_asm!(".globl _start", "_start:", "mov x29, xzr", "bl {main}", "brk 1", ma
 
 const STDERR: usize = 2;
 
+/// What the tracker works in: memory of the program's own image, there is no other.
+static mut STORAGE: drive::Storage = drive::Storage::EMPTY;
+
 extern "C" fn bare_main() -> ! {
-    match problems::solve_all() {
+    // SAFETY: the program has one thread, and this is the only place that names the storage; it is reached once.
+    let storage = unsafe { &mut *(&raw mut STORAGE) };
+    match problems::solve_all().and_then(|()| drive::along_a_street(storage)) {
         Ok(()) => exit(0),
         Err(failed) => {
             print("no-std proof failed: ");

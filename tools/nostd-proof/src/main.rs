@@ -6,7 +6,9 @@
 
 #[cfg(panic = "abort")]
 mod bare;
-#[cfg(any(panic = "abort", test))]
+#[cfg(panic = "abort")]
+mod drive;
+#[cfg(panic = "abort")]
 mod problems;
 
 #[cfg(not(panic = "abort"))]

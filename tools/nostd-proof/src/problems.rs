@@ -2,7 +2,9 @@
 
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
+use kilogs_core::features::corners::Corner;
 use kilogs_core::features::lk::track_there_and_back;
+use kilogs_core::features::tracks::{Track, TrackImages, TrackSettings, TrackStorage, TrackTable};
 use kilogs_core::features::{Flow, LkSettings, SimdLevel};
 use kilogs_core::frame::{ImageView, Pyramid};
 use kilogs_core::math::{Rng, se3};
@@ -16,7 +18,8 @@ const N_POINTS: usize = 64;
 pub fn solve_all() -> Result<(), &'static str> {
     pose_from_points()?;
     motion_from_matches()?;
-    points_through_images()
+    points_through_images()?;
+    tracks_through_images()
 }
 
 /// Points ahead of the camera, the same in every run.
@@ -113,6 +116,36 @@ fn points_through_images() -> Result<(), &'static str> {
         flow.verdict.is_found() && error_px(0) < 0.1 && error_px(1) < 0.1
     };
     if flows.iter().all(is_right) { Ok(()) } else { Err("a point was lost or went astray") }
+}
+
+/// Finds corners by itself, follows them and refines them against the keyframe's windows.
+fn tracks_through_images() -> Result<(), &'static str> {
+    const MOTION_PX: [f32; 2] = [2.6, -1.4];
+    const N_TRACKS: usize = 64;
+    let (mut first_storage, mut second_storage) = ([0; PYRAMID_BYTES], [0; PYRAMID_BYTES]);
+    let first = pyramid_of_texture([0.0, 0.0], &mut first_storage)?;
+    let second = pyramid_of_texture(MOTION_PX, &mut second_storage)?;
+    let storage = TrackStorage {
+        tracks: &mut [Track::NONE; N_TRACKS],
+        flows: &mut [Flow::new([0.0; 2], [0.0; 2]); N_TRACKS],
+        corners: &mut [Corner::NONE; N_TRACKS],
+        distances_px: &mut [0.0; N_TRACKS],
+    };
+    let mut tracks = TrackTable::new(storage).map_err(|_| "the storage of the tracks is uneven")?;
+    let mut settings = TrackSettings::STANDARD;
+    settings.lk.n_levels = N_LEVELS as u32;
+    let n_found = tracks.promote(SimdLevel::Scalar, &first, &settings).n_found;
+    let images = TrackImages { keyframe: &first, previous: &first, current: &second };
+    let n_live = tracks.advance(SimdLevel::Scalar, images, &settings).n_live;
+    if n_found < N_TRACKS / 2 || n_live < n_found / 2 {
+        return Err("too few corners were found or followed");
+    }
+    let is_right = |track: &Track| {
+        let error_px = |axis: usize| (track.current_px[axis] - track.keyframe_px[axis] - MOTION_PX[axis]).abs();
+        error_px(0) < 0.1 && error_px(1) < 0.1
+    };
+    let n_right = tracks.tracks().iter().filter(|track| is_right(track)).count();
+    if n_right * 10 >= n_live * 9 { Ok(()) } else { Err("the tracks went astray") }
 }
 
 /// Parabolic bumps of several sizes, moved by `motion_px`.
