@@ -87,7 +87,50 @@ fn each_bad_header_is_refused_and_the_next_good_frame_is_taken() {
     check(&|h| h.payload_bytes = 5000, &|v| matches!(v, HeaderVerdict::DoesNotFit { sent_bytes: 4096, .. }));
     check(&|h| h.stride_bytes = 400, &|v| matches!(v, HeaderVerdict::DoesNotFit { needed_bytes: 12800, .. }));
     check(&|h| h.timestamp_ns = 5, &|v| matches!(v, HeaderVerdict::TimeBackwards { found_ns: 5, .. }));
+    check(&|h| h.timestamp_ns = u64::MAX, &|v| matches!(v, HeaderVerdict::TimeJump { found_ns: u64::MAX, .. }));
+    check(&|h| h.timestamp_ns = 1 << 50, &|v| matches!(v, HeaderVerdict::TimeJump { .. }));
+    check(&|h| h.sequence = 1 << 50, &|v| matches!(v, HeaderVerdict::SequenceJump { .. }));
     check(&|h| h.sequence = 1, &|v| matches!(v, HeaderVerdict::SequenceBackwards { found: 1, .. }));
+}
+
+/// Sends frames with these times; what became of each: the time that the tracker sees, or `None` when refused.
+fn times_of(purpose: &str, sent_ns: &[u64]) -> Vec<Option<u64>> {
+    let (mut input, service) = open(purpose);
+    let rogue = Rogue::new(&service);
+    let mut seen = Vec::new();
+    for (sequence, &timestamp_ns) in sent_ns.iter().enumerate() {
+        rogue.send(FrameHeader::packed(sequence as u64, timestamp_ns, SIZE, PixelFormat::Mono8));
+        seen.push(loop {
+            match input.wait(PATIENCE).expect("shared memory") {
+                InputEvent::Frame(frame) => break Some(frame.timestamp_ns()),
+                InputEvent::Refused(_) => break None,
+                _ => (),
+            }
+        });
+    }
+    seen
+}
+
+#[test]
+fn one_far_time_is_refused_and_a_clock_that_was_set_is_followed() {
+    const FAR_NS: u64 = 1 << 60;
+    let one = times_of("far", &[10, FAR_NS, 20, 0, 30]);
+    assert_eq!(one, [Some(10), None, Some(20), None, Some(30)]);
+    let two_different = times_of("damaged", &[10, FAR_NS, FAR_NS * 2, 20]);
+    assert_eq!(two_different, [Some(10), None, None, Some(20)]);
+    for (purpose, sent_ns) in [
+        ("set-forward", [10, 20, FAR_NS, FAR_NS + 10, FAR_NS + 20]),
+        ("set-back", [FAR_NS, FAR_NS + 10, 10, 20, 30]),
+        ("bad-first", [FAR_NS, 10, 20, 30, 40]),
+    ] {
+        let seen = times_of(purpose, &sent_ns);
+        assert_eq!(seen.iter().filter(|time| time.is_none()).count(), 1, "{purpose}: {seen:?}");
+        let seen_ns: Vec<u64> = seen.into_iter().flatten().collect();
+        assert!(seen_ns.windows(2).all(|pair| pair[0] < pair[1]), "{purpose}: {seen_ns:?}");
+        assert_eq!(seen_ns[3] - seen_ns[2], 10, "{purpose}: {seen_ns:?}");
+        let jump_ns = seen_ns[3] - seen_ns[0];
+        assert!(jump_ns < 60_000_000_000, "{purpose}: time goes on, it does not jump: {seen_ns:?}");
+    }
 }
 
 #[test]

@@ -83,7 +83,9 @@ struct Session {
     camera: UniquePublisherId,
     previous: Option<PreviousFrame>,
     has_ended: bool,
-    /// Added to its times, so that time goes on where a camera process starts anew.
+    /// The last frame, refused because its time is far from that of the frame before.
+    far_off: Option<PreviousFrame>,
+    /// Added to its times (wrapping), so that time goes on where a camera process or its clock starts anew.
     time_shift_ns: u64,
 }
 
@@ -242,9 +244,10 @@ impl FrameInput {
 
     fn judge(&mut self, header: &FrameHeader, camera: UniquePublisherId, sent_bytes: u64) -> Judged {
         let Some(mut session) = self.session_of(camera) else { return Judged::Refused(HeaderVerdict::SecondCamera) };
-        let judged = match header.judge(&self.format, session.previous, sent_bytes) {
+        let (verdict, is_new_clock) = self.verdict(&mut session, header, sent_bytes);
+        let judged = match verdict {
             HeaderVerdict::Accept { pixel_format, n_missing } => {
-                let timestamp_ns = self.continuous_time(&mut session, header.timestamp_ns);
+                let timestamp_ns = self.continuous_time(&mut session, header.timestamp_ns, is_new_clock);
                 self.format.pixel_format = Some(pixel_format);
                 self.state = CameraState::Sending;
                 self.last_frame = Some(LastFrame { timestamp_ns, arrived: Instant::now() });
@@ -273,7 +276,7 @@ impl FrameInput {
             Some(session) if !session.has_ended && self.is_alive(session.camera) => None,
             earlier => {
                 self.counts.n_restarts += u32::from(earlier.is_some());
-                Some(Session { camera, previous: None, has_ended: false, time_shift_ns: 0 })
+                Some(Session { camera, previous: None, has_ended: false, far_off: None, time_shift_ns: 0 })
             }
         }
     }
@@ -289,16 +292,38 @@ impl FrameInput {
         is_alive
     }
 
-    /// A camera process that starts anew may start its clock anew: its times then go on after the last one, by the
-    /// time that passed here.
-    fn continuous_time(&self, session: &mut Session, timestamp_ns: TimestampNs) -> TimestampNs {
-        if let (None, Some(last)) = (session.previous, self.last_frame)
-            && timestamp_ns <= last.timestamp_ns
+    /// The header's verdict, and whether its clock is a new one. A single time far from the others is refused, lest
+    /// it make all later ones go backwards; a second frame that agrees with it says that the clock was set.
+    fn verdict(&self, session: &mut Session, header: &FrameHeader, sent_bytes: u64) -> (HeaderVerdict, bool) {
+        let verdict = header.judge(&self.format, session.previous, sent_bytes);
+        if !verdict.is_time_jump() {
+            session.far_off = None;
+            return (verdict, false);
+        }
+        let this = PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns };
+        let before = session.far_off.replace(this);
+        match before.map(|before| header.judge(&self.format, Some(before), sent_bytes)) {
+            Some(HeaderVerdict::Accept { pixel_format, .. }) => {
+                session.far_off = None;
+                let last_sequence = session.previous.map_or(0, |previous| previous.sequence);
+                let n_missing = header.sequence.saturating_sub(last_sequence + 1);
+                (HeaderVerdict::Accept { pixel_format, n_missing }, true)
+            }
+            _ => (verdict, false),
+        }
+    }
+
+    /// A camera process that starts anew may start its clock anew, and a clock may be set: times then go on after the
+    /// last one, by the time that passed here.
+    fn continuous_time(&self, session: &mut Session, timestamp_ns: TimestampNs, is_new_clock: bool) -> TimestampNs {
+        let is_anew = is_new_clock || session.previous.is_none();
+        if let Some(last) = self.last_frame
+            && (is_new_clock || (is_anew && timestamp_ns <= last.timestamp_ns))
         {
             let passed_ns = last.arrived.elapsed().as_nanos().max(1) as u64;
-            session.time_shift_ns = last.timestamp_ns.saturating_add(passed_ns) - timestamp_ns;
+            session.time_shift_ns = last.timestamp_ns.saturating_add(passed_ns).wrapping_sub(timestamp_ns);
         }
-        timestamp_ns.saturating_add(session.time_shift_ns)
+        timestamp_ns.wrapping_add(session.time_shift_ns)
     }
 
     fn note_coming(&mut self) -> Option<InputEvent<'static>> {

@@ -19,6 +19,16 @@ pub mod flags {
     pub const END: u32 = 1;
 }
 
+/// A time further than this from that of the frame before is a jump, ns: no camera pauses for a minute between two
+/// frames without its clock or its header being at fault.
+pub const MAX_TIME_STEP_NS: u64 = 60_000_000_000;
+
+/// A sequence number further than this above the one before is none: three hours of a camera with 100 frames a second.
+pub const MAX_SEQUENCE_STEP: u64 = 1 << 20;
+
+/// Times above this lie behind the year 2262 and are none.
+pub const MAX_TIMESTAMP_NS: u64 = i64::MAX as u64;
+
 /// What a frame says about itself. The numbers are those of the machine that runs both processes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
@@ -140,6 +150,21 @@ pub enum HeaderVerdict {
         /// That of the frame before.
         previous_ns: u64,
     },
+    /// The time is too far after that of the frame before: a damaged header, or the clock of the camera was set. In
+    /// the second case the next frame agrees with this one.
+    TimeJump {
+        /// What was there.
+        found_ns: u64,
+        /// That of the frame before; 0 when there was none.
+        previous_ns: u64,
+    },
+    /// The sequence number is too far above that of the frame before: a damaged header.
+    SequenceJump {
+        /// What was there.
+        found: u64,
+        /// That of the frame before.
+        previous: u64,
+    },
     /// Another camera process is alive under the same service name.
     SecondCamera,
 }
@@ -187,6 +212,9 @@ impl FrameHeader {
         }
         let n_missing = match previous {
             None => self.sequence,
+            Some(previous) if self.sequence.saturating_sub(previous.sequence) > MAX_SEQUENCE_STEP => {
+                return HeaderVerdict::SequenceJump { found: self.sequence, previous: previous.sequence };
+            }
             Some(previous) if self.sequence <= previous.sequence => {
                 return HeaderVerdict::SequenceBackwards { found: self.sequence, previous: previous.sequence };
             }
@@ -199,6 +227,10 @@ impl FrameHeader {
             (Some(previous), _) if self.timestamp_ns <= previous.timestamp_ns => {
                 HeaderVerdict::TimeBackwards { found_ns: self.timestamp_ns, previous_ns: previous.timestamp_ns }
             }
+            (previous, _) if self.timestamp_ns > latest_possible_ns(previous) => HeaderVerdict::TimeJump {
+                found_ns: self.timestamp_ns,
+                previous_ns: previous.map_or(0, |previous| previous.timestamp_ns),
+            },
             (_, Some(pixel_format)) => HeaderVerdict::Accept { pixel_format, n_missing },
             (_, None) => HeaderVerdict::UnknownFormat { found: self.pixel_format },
         }
@@ -233,7 +265,22 @@ impl FrameHeader {
     }
 }
 
+/// The latest time that a frame after `previous` can have.
+fn latest_possible_ns(previous: Option<PreviousFrame>) -> u64 {
+    let step_ns = |previous: PreviousFrame| previous.timestamp_ns.saturating_add(MAX_TIME_STEP_NS);
+    previous.map_or(MAX_TIMESTAMP_NS, step_ns).min(MAX_TIMESTAMP_NS)
+}
+
 impl HeaderVerdict {
+    /// Whether the time is so far from that of the frame before that the clock may have been set.
+    pub fn is_time_jump(&self) -> bool {
+        match *self {
+            Self::TimeJump { found_ns, .. } => found_ns <= MAX_TIMESTAMP_NS,
+            Self::TimeBackwards { found_ns, previous_ns } => previous_ns - found_ns > MAX_TIME_STEP_NS,
+            _ => false,
+        }
+    }
+
     /// Whether the frame must not be used.
     pub fn is_refusal(&self) -> bool {
         !matches!(self, Self::Accept { .. } | Self::End { .. })
@@ -269,104 +316,17 @@ impl fmt::Display for HeaderVerdict {
             Self::TimeBackwards { found_ns, previous_ns } => {
                 write!(f, "time {found_ns} ns is not after {previous_ns} ns")
             }
+            Self::TimeJump { found_ns, previous_ns } => {
+                write!(f, "time {found_ns} ns is no time for a frame after {previous_ns} ns")
+            }
+            Self::SequenceJump { found, previous } => {
+                write!(f, "sequence number {found} is no number for a frame after {previous}")
+            }
             Self::SecondCamera => write!(f, "a second camera process publishes under the same service name"),
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const SERVICE: ServiceFormat = ServiceFormat { width: 6, height: 4, pixel_format: Some(PixelFormat::Mono8) };
-    const PREVIOUS: PreviousFrame = PreviousFrame { sequence: 10, timestamp_ns: 1000 };
-    const SENT_BYTES: u64 = 4096;
-
-    fn good() -> FrameHeader {
-        FrameHeader::packed(11, 1001, [6, 4], PixelFormat::Mono8)
-    }
-
-    fn check(spoil: impl Fn(&mut FrameHeader), expected: HeaderVerdict) {
-        let mut header = good();
-        spoil(&mut header);
-        assert_eq!(header.judge(&SERVICE, Some(PREVIOUS), SENT_BYTES), expected);
-        let usable = matches!(expected, HeaderVerdict::Accept { .. } | HeaderVerdict::End { .. });
-        assert_eq!(expected.is_refusal(), !usable, "{expected}");
-    }
-
-    #[test]
-    fn every_kind_of_bad_header_is_told_apart() {
-        use HeaderVerdict::*;
-        check(|_| (), Accept { pixel_format: PixelFormat::Mono8, n_missing: 0 });
-        check(|h| h.sequence = 14, Accept { pixel_format: PixelFormat::Mono8, n_missing: 3 });
-        check(|h| h.magic = 7, BadMagic { found: 7 });
-        check(|h| h.version = 2, BadVersion { found: 2 });
-        check(|h| h.pixel_format = 0, UnknownFormat { found: 0 });
-        check(|h| h.pixel_format = 3, OtherFormat { found: PixelFormat::Bgr8, expected: PixelFormat::Mono8 });
-        check(|h| h.width = 7, WrongSize { found: [7, 4], expected: [6, 4] });
-        check(|h| h.height = 0, WrongSize { found: [6, 0], expected: [6, 4] });
-        check(|h| h.sequence = 10, SequenceBackwards { found: 10, previous: 10 });
-        check(|h| h.sequence = 0, SequenceBackwards { found: 0, previous: 10 });
-        check(|h| h.timestamp_ns = 1000, TimeBackwards { found_ns: 1000, previous_ns: 1000 });
-        check(|h| h.timestamp_ns = 0, TimeBackwards { found_ns: 0, previous_ns: 1000 });
-    }
-
-    #[test]
-    fn a_header_must_fit_its_payload() {
-        let check_fit = |stride_bytes: u32, claimed_bytes: u64, needed_bytes: Option<u64>| {
-            let spoil = |h: &mut FrameHeader| (h.stride_bytes, h.payload_bytes) = (stride_bytes, claimed_bytes);
-            let verdict = match needed_bytes {
-                None => HeaderVerdict::Accept { pixel_format: PixelFormat::Mono8, n_missing: 0 },
-                Some(needed_bytes) => HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes: SENT_BYTES },
-            };
-            check(spoil, verdict);
-        };
-        check_fit(6, 24, None);
-        check_fit(8, 32, None);
-        check_fit(1024, 4096, None);
-        check_fit(8, 24, Some(32));
-        check_fit(5, 24, Some(24));
-        check_fit(0, 0, Some(24));
-        check_fit(6, 23, Some(24));
-        check_fit(6, 4097, Some(24));
-        check_fit(u32::MAX, u64::MAX, Some(4 * u64::from(u32::MAX)));
-    }
-
-    #[test]
-    fn the_end_needs_no_image_and_tells_how_many_frames_are_missing() {
-        let judge = |sequence| FrameHeader::end_of_stream(sequence, 0).judge(&SERVICE, Some(PREVIOUS), 0);
-        assert_eq!(judge(11), HeaderVerdict::End { n_missing: 0 });
-        assert_eq!(judge(13), HeaderVerdict::End { n_missing: 2 });
-        assert_eq!(judge(10), HeaderVerdict::SequenceBackwards { found: 10, previous: 10 });
-        let no_frame_at_all = FrameHeader::end_of_stream(0, 0).judge(&SERVICE, None, 0);
-        assert_eq!(no_frame_at_all, HeaderVerdict::End { n_missing: 0 });
-    }
-
-    #[test]
-    fn the_first_frame_may_have_any_time_and_fixes_the_format() {
-        let open = ServiceFormat { pixel_format: None, ..SERVICE };
-        let verdict = FrameHeader::packed(0, 0, [6, 4], PixelFormat::Rgb8).judge(&open, None, SENT_BYTES);
-        assert_eq!(verdict, HeaderVerdict::Accept { pixel_format: PixelFormat::Rgb8, n_missing: 0 });
-    }
-
-    #[test]
-    fn no_header_whatever_passes_with_pixels_outside_its_payload() {
-        let mut rng = kilogs_core::math::Rng::new(1, 2, 3);
-        let mut n_accepted = 0;
-        for _ in 0..200_000 {
-            let mut header = good();
-            // Spoils one to three bytes of a good header.
-            for _ in 0..1 + rng.next_u32() % 3 {
-                let at = rng.next_u32() as usize % size_of::<FrameHeader>();
-                header.as_mut_bytes()[at] = rng.next_u32() as u8;
-            }
-            let sent_bytes = u64::from(rng.next_u32() % 64);
-            if let HeaderVerdict::Accept { pixel_format, .. } = header.judge(&SERVICE, Some(PREVIOUS), sent_bytes) {
-                n_accepted += 1;
-                assert!(header.payload_bytes <= sent_bytes && pixel_format == PixelFormat::Mono8);
-                assert!(u64::from(header.stride_bytes) * 4 <= header.payload_bytes && header.stride_bytes >= 6);
-            }
-        }
-        assert!(n_accepted > 1000, "{n_accepted}");
-    }
-}
+#[path = "header_tests.rs"]
+mod tests;
