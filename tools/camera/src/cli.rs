@@ -19,10 +19,14 @@ use crate::source::{FolderSource, FrameSource, Playback, PlaybackRange, SourceEr
 const TRACKER_PATIENCE_S: f64 = 30.0;
 
 /// Publishes camera frames over iceoryx2: a recorded folder or a simulated street.
-///
-/// Example: kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live
 #[derive(Clone, Debug, Parser)]
-#[command(name = "kilogs-camera", version)]
+#[command(
+    name = "kilogs-camera",
+    version,
+    after_help = "Examples:\n  kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live\n  \
+                  kilogs-camera sim --seed 3 --length 500 --service front --live\n  \
+                  kilogs-camera sim --start 100 --frames 50 --write drive"
+)]
 pub struct CameraArgs {
     /// Where the frames come from.
     #[command(subcommand)]
@@ -33,8 +37,16 @@ pub struct CameraArgs {
 #[derive(Clone, Debug, Subcommand)]
 pub enum SourceArgs {
     /// A recorded folder in the layout of KITTI odometry.
+    #[command(
+        after_help = "Examples:\n  kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live\n  \
+                      kilogs-camera folder ../shared/data/kitti04-full --camera kitti --start 50 --frames 100"
+    )]
     Folder(FolderArgs),
     /// A simulated street.
+    #[command(
+        after_help = "Examples:\n  kilogs-camera sim --seed 3 --length 500 --service front --live --truth truth\n  \
+                            kilogs-camera sim --start 100 --frames 50 --write drive"
+    )]
     Sim(SimulationArgs),
 }
 
@@ -136,9 +148,10 @@ impl CameraError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Source(SourceError::File { .. })
-            | Self::Simulation(_)
+            | Self::Simulation(SimError::Path { .. } | SimError::Truth { .. })
             | Self::Publish(PublishError::NothingReadable { .. }) => 3,
-            Self::Source(SourceError::Camera { .. } | SourceError::Range(_)) => 2,
+            Self::Source(SourceError::Camera { .. } | SourceError::Range(_))
+            | Self::Simulation(SimError::Range { .. }) => 2,
             Self::Publish(_) | Self::Signals(_) => 1,
         }
     }
@@ -159,10 +172,12 @@ impl CameraArgs {
                 (&folder.publish, true)
             }
             SourceArgs::Sim(SimulationArgs { sim, truth, write, publish }) => {
-                let SimArgs { seed, path, length, width, height, fps, mono, noise } = sim;
+                let SimArgs { seed, path, length, start, frames, width, height, fps, mono, noise } = sim;
                 words.word("sim").option("--seed", Some(seed.to_string()));
                 words.option("--path", path.as_ref());
                 words.option("--length", Some(length.to_string()));
+                words.option("--start", Some(start.to_string()));
+                words.option("--frames", frames.map(|frames| frames.to_string()));
                 words.option("--width", Some(width.to_string()));
                 words.option("--height", Some(height.to_string()));
                 words.option("--fps", Some(fps.to_string()));
@@ -340,6 +355,22 @@ mod tests {
     }
 
     #[test]
+    fn every_help_has_an_example() {
+        let mut command = CameraArgs::command();
+        let mut helps = vec![command.render_long_help().to_string()];
+        helps.extend(command.get_subcommands_mut().map(|c| c.render_long_help().to_string()));
+        for help in helps {
+            let examples = help.lines().filter_map(|line| Some(line.trim().split_once("kilogs-camera ")?.1));
+            let examples: Vec<&str> = examples.filter(|words| !words.contains(['<', '['])).collect();
+            assert!(!examples.is_empty(), "{help}");
+            for words in examples {
+                let parsed = CameraArgs::try_parse_from(["kilogs-camera"].into_iter().chain(words.split(' ')));
+                assert!(parsed.is_ok(), "{words}: {parsed:?}");
+            }
+        }
+    }
+
+    #[test]
     fn arguments_survive_the_way_to_a_child_process() {
         let check = |line: &str| {
             let parse = |words: Vec<OsString>| {
@@ -354,7 +385,7 @@ mod tests {
         check("folder data --live --rate 0.3 --wait-for-tracker 1.5 --end-with-tracker --quiet");
         check("sim");
         check("sim --seed 9 --path poses.txt --length 50 --width 160 --height 64 --fps 20 --mono --noise 0.5 --live");
-        check("sim --truth out --service x");
+        check("sim --start 20 --frames 5 --truth out --service x");
         check("sim --write out");
     }
 }

@@ -36,6 +36,12 @@ pub struct SimArgs {
     /// Length of a generated drive, m.
     #[arg(long, default_value_t = 320.0, value_name = "METRES", value_parser = positive)]
     pub length: f64,
+    /// Leave out this many frames at the beginning of the drive; times and town stay as they are.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub start: u64,
+    /// Deliver at most this many frames.
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
     /// Image width, px.
     #[arg(long, default_value_t = 620, value_parser = clap::value_parser!(u32).range(32..=4096))]
     pub width: u32,
@@ -56,7 +62,18 @@ pub struct SimArgs {
 /// Settings for tests and for the demo: `SimArgs` as if nothing had been typed.
 impl Default for SimArgs {
     fn default() -> Self {
-        Self { seed: 1, path: None, length: 320.0, width: 620, height: 188, fps: 10.0, mono: false, noise: 1.0 }
+        Self {
+            seed: 1,
+            path: None,
+            length: 320.0,
+            start: 0,
+            frames: None,
+            width: 620,
+            height: 188,
+            fps: 10.0,
+            mono: false,
+            noise: 1.0,
+        }
     }
 }
 
@@ -85,6 +102,20 @@ pub enum SimError {
         /// What is wrong with it.
         reason: String,
     },
+    /// No frame is left of the drive.
+    #[error(
+        "simulating: --start {start} --frames {} of a drive of {n_frames} frames leaves none; start below {n_frames} and \
+         ask for at least one frame, or drive longer with --length",
+        .frames.map_or("all".to_owned(), |n| n.to_string())
+    )]
+    Range {
+        /// Frames to leave out.
+        start: u64,
+        /// Frames to deliver at most.
+        frames: Option<u64>,
+        /// Frames of the drive.
+        n_frames: u64,
+    },
     /// The truth could not be written.
     #[error("writing the simulator's truth to {path}: {reason}")]
     Truth {
@@ -108,6 +139,10 @@ pub struct Simulator {
     town: Town,
     camera: Pinhole,
     args: SimArgs,
+    /// Index in the drive of the first frame delivered.
+    first: usize,
+    /// Frames that are delivered.
+    n_frames: usize,
     next_frame: usize,
     moving: Vec<Solid>,
     candidates: Candidates,
@@ -120,12 +155,13 @@ impl Simulator {
     /// Builds the town.
     ///
     /// # Errors
-    /// [`SimError::Path`] when `--path` names no usable pose file.
+    /// [`SimError::Path`] when `--path` names no usable pose file, [`SimError::Range`] when no frame is left.
     pub fn new(args: &SimArgs) -> Result<Self, SimError> {
         let drive = match &args.path {
             Some(file) => Drive::from_poses(file)?,
             None => Drive::generate(args.seed, args.length, args.fps),
         };
+        let (first, n_frames) = part_of(drive.n_frames() as u64, args)?;
         let town = Town::build(&drive, args.seed);
         let (width, height) = (f64::from(args.width), f64::from(args.height));
         let focal_px = FOCAL_PER_WIDTH * width;
@@ -143,6 +179,8 @@ impl Simulator {
             town,
             camera,
             args: args.clone(),
+            first,
+            n_frames,
             next_frame: 0,
             moving: Vec::new(),
             candidates: Candidates::default(),
@@ -152,14 +190,14 @@ impl Simulator {
         })
     }
 
-    /// Where the camera is at a frame.
+    /// Where the camera is at a frame, counted from the first one delivered.
     pub fn camera_at(&self, frame: usize) -> Waypoint {
-        self.drive.at(self.drive.arc_m(frame))
+        self.drive.at(self.drive.arc_m(self.first + frame))
     }
 
-    /// Number of frames of the drive.
+    /// Number of frames delivered in all.
     pub fn n_frames(&self) -> usize {
-        self.drive.n_frames()
+        self.n_frames
     }
 
     /// Depth of the last delivered frame along the optical axis, m, row by row; infinite in the sky.
@@ -167,11 +205,12 @@ impl Simulator {
         &self.depth_m
     }
 
-    /// Time of a frame, ns.
+    /// Time of a frame, counted from the first one delivered, ns since the beginning of the drive.
     pub fn timestamp_ns(&self, frame: usize) -> u64 {
-        (frame as f64 / self.args.fps * 1e9).round() as u64
+        ((self.first + frame) as f64 / self.args.fps * 1e9).round() as u64
     }
 
+    /// Renders a frame of the drive.
     fn render(&mut self, frame: usize) {
         let arc_m = self.drive.arc_m(frame);
         let time_s = frame as f64 / self.args.fps;
@@ -181,6 +220,15 @@ impl Simulator {
         let scene = Scene { town: &self.town, frame: frame_camera, candidates: &self.candidates };
         scene.render(&mut self.rgb, &mut self.depth_m, &mut self.identity);
         add_noise(&mut self.rgb, self.args.noise, &mut Rng::new(self.args.seed, frame as u64, u64::from(b'n')));
+    }
+}
+
+/// The first frame to deliver and how many.
+fn part_of(n_frames: u64, args: &SimArgs) -> Result<(usize, usize), SimError> {
+    let left = n_frames.saturating_sub(args.start);
+    match args.frames.map_or(left, |frames| frames.min(left)) {
+        0 => Err(SimError::Range { start: args.start, frames: args.frames, n_frames }),
+        n => Ok((args.start as usize, n as usize)),
     }
 }
 
@@ -211,17 +259,17 @@ impl FrameSource for Simulator {
                 lever_arm_m: [0.0; 3],
             }),
             pixel_format: if self.args.mono { PixelFormat::Mono8 } else { PixelFormat::Rgb8 },
-            n_frames: Some(self.drive.n_frames() as u64),
+            n_frames: Some(self.n_frames as u64),
         }
     }
 
     fn next_frame(&mut self, pixels: &mut [u8]) -> Result<Option<FrameInfo>, SourceError> {
-        if self.next_frame >= self.drive.n_frames() {
+        if self.next_frame >= self.n_frames {
             return Ok(None);
         }
         let frame = self.next_frame;
         self.next_frame += 1;
-        self.render(frame);
+        self.render(self.first + frame);
         if self.args.mono {
             // BT.601 weights in 8-bit fixed point, as everywhere in the project.
             for (gray, rgb) in pixels.iter_mut().zip(self.rgb.chunks_exact(3)) {
@@ -255,6 +303,35 @@ mod tests {
     fn the_same_seed_gives_the_same_bytes_and_another_seed_another_town() {
         assert_eq!(frame(&small(), 3), frame(&small(), 3));
         assert_ne!(frame(&small(), 3).0, frame(&SimArgs { seed: 2, ..small() }, 3).0);
+    }
+
+    #[test]
+    fn a_part_of_a_drive_is_the_same_as_in_the_whole() {
+        let part = SimArgs { start: 4, frames: Some(3), ..small() };
+        assert_eq!(frame(&part, 1), frame(&small(), 5));
+        let (of_part, whole) = (Simulator::new(&part).expect("a drive"), Simulator::new(&small()).expect("a drive"));
+        assert_eq!((of_part.n_frames(), of_part.format().n_frames), (3, Some(3)));
+        assert_eq!((of_part.camera_at(2), of_part.timestamp_ns(2)), (whole.camera_at(6), whole.timestamp_ns(6)));
+        let mut simulator = Simulator::new(&part).expect("a drive");
+        let mut pixels = vec![0; 3 * 160 * 48];
+        let n = (0..10).filter(|_| simulator.next_frame(&mut pixels).expect("no file is involved").is_some()).count();
+        assert_eq!(n, 3);
+    }
+
+    #[test]
+    fn a_part_without_frames_is_refused_with_advice() {
+        let n = Simulator::new(&small()).expect("a drive").n_frames() as u64;
+        let check = |start: u64, frames: Option<u64>, expected: Option<usize>| {
+            let found = Simulator::new(&SimArgs { start, frames, ..small() });
+            assert_eq!(found.as_ref().ok().map(Simulator::n_frames), expected, "{start} {frames:?}");
+            let message = found.err().map(|e| e.to_string()).unwrap_or_default();
+            assert_eq!(message.contains("leaves none; start below"), expected.is_none(), "{message}");
+        };
+        check(0, None, Some(n as usize));
+        check(n - 1, Some(7), Some(1));
+        check(n, None, None);
+        check(u64::MAX, None, None);
+        check(0, Some(0), None);
     }
 
     #[test]
