@@ -133,15 +133,15 @@ impl Tracker<'_> {
         let mut rejected = None;
         if self.is_started && self.settings.pose_models != PoseModels::Essential {
             match self.pnp_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
-                Some(Ok(pose)) => return pose,
-                Some(Err(pose)) => rejected = Some(pose),
+                Some((pose, true)) => return pose,
+                Some((pose, false)) => rejected = Some(pose),
                 None => {}
             }
         }
         if !self.is_started || self.settings.pose_models != PoseModels::Pnp {
             match self.essential_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
-                Some(Ok(pose)) => return pose,
-                Some(Err(pose)) => rejected = rejected.or(Some(pose)),
+                Some((pose, true)) => return pose,
+                Some((pose, false)) => rejected = rejected.or(Some(pose)),
                 None => {}
             }
         }
@@ -154,8 +154,8 @@ impl Tracker<'_> {
         }
     }
 
-    /// Judges the step from the last frame; `Err` carries the rejected pose with its figures.
-    fn verified(&self, pose: FramePose, timestamp_ns: TimestampNs) -> Result<FramePose, FramePose> {
+    /// Judges the step from the last frame: the pose with the verdict's figures, and whether it is believed.
+    fn verified(&self, pose: FramePose, timestamp_ns: TimestampNs) -> (FramePose, bool) {
         let (earlier_from_world, duration_s) = if self.is_started {
             (self.motion.camera_from_world, self.seconds_since_last(timestamp_ns))
         } else {
@@ -167,7 +167,7 @@ impl Tracker<'_> {
         let verdict = judge_motion(&later_from_earlier, duration_s, prior, &self.mounting, limits);
         let pose = pose.with_figures(&verdict);
         let is_finite = pose.camera_from_world.to_homogeneous().iter().all(|v| v.is_finite());
-        if verdict.is_accepted() && is_finite { Ok(pose) } else { Err(pose) }
+        (pose, verdict.is_accepted() && is_finite)
     }
 
     /// The same pose as the keyframe's: nothing of the street has moved since.

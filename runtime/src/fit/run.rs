@@ -14,6 +14,7 @@ use crate::telemetry::MemoryWatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_core::conventions::Rigid;
 use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+use nalgebra::Matrix6;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -147,6 +148,8 @@ impl FrameReports {
             keyframe_ordinal,
             keyframe_from_camera: world_from_keyframe.inverse() * world_from_camera,
             world_from_camera: *world_from_camera,
+            // What is given is taken as exact.
+            covariance: Matrix6::zeros(),
             n_tracks: 0,
             n_matches: 0,
             n_inliers: 0,

@@ -8,6 +8,10 @@ use std::time::Duration;
 
 /// One message.
 #[derive(Debug, Clone, Copy)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a box takes memory on a sealed thread, and nearly all records are frames"
+)]
 pub enum Record {
     /// A frame went through the tracker.
     Frame {
