@@ -2,9 +2,13 @@
 
 use kilogs_core::conventions::Rigid;
 use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+use nalgebra::Matrix6;
 
 /// Below this the tracker's own step tells nothing about its scale, m.
 const MIN_STEP_M: f64 = 0.1;
+
+/// Standard deviation of a given pose, rad and m: taken as exact, but a covariance has to have an inverse.
+const GIVEN_SIGMA: f64 = 1e-6;
 
 /// Puts given poses into the tracker's reports. Which frames become keyframes is still the tracker's choice.
 #[derive(Debug, Clone, Default)]
@@ -54,6 +58,7 @@ impl GivenPoses {
         report.keyframe_ordinal = newest.ordinal;
         report.keyframe_from_camera = newest.world_from_camera.inverse() * world_from_camera;
         report.world_from_camera = world_from_camera;
+        report.covariance = Matrix6::identity() * (GIVEN_SIGMA * GIVEN_SIGMA);
     }
 
     /// Factor that brings the tracker's depths at the newest keyframe to the scale of the given poses, where it can be
@@ -86,6 +91,7 @@ mod tests {
             keyframe_ordinal,
             keyframe_from_camera: Rigid::identity(),
             world_from_camera: Rigid::translation(0.0, 0.0, z_m),
+            covariance: Matrix6::identity(),
             n_tracks: 0,
             n_matches: 0,
             n_inliers: 0,
