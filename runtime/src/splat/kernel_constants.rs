@@ -12,6 +12,12 @@ pub const TILE_BLOCKS: u32 = BLOCKS_PER_SIDE * BLOCKS_PER_SIDE;
 pub const MAX_TILE_ROWS: u32 = 256;
 /// Trained numbers per Gaussian.
 pub const N_PARAMS: u32 = 14;
+/// Position of the scales' logarithms among the trained numbers.
+pub const FIRST_LOG_SCALE: u32 = 3;
+/// Position of the quaternion.
+pub const FIRST_ROTATION: u32 = 6;
+/// Position of the opacity's logit, which the colors' logits follow.
+pub const FIRST_OPACITY: u32 = 10;
 /// Numbers per splat that blending has gradients for.
 pub const N_SPLAT_GRADS: u32 = 10;
 /// Binary logarithm of the smallest alpha that is blended.
@@ -36,6 +42,8 @@ pub const MIN_EXTENT_PX: f32 = 1e-3;
 pub const BACKGROUND_COLUMNS: u32 = 128;
 /// Texels of a background table from the lowest to the highest elevation.
 pub const BACKGROUND_ROWS: u32 = 32;
+/// Numbers of one background table.
+pub const TEXEL_NUMBERS: u32 = 3 * BACKGROUND_COLUMNS * BACKGROUND_ROWS;
 /// Lower edge of a background table, rad.
 pub const BACKGROUND_MIN_ELEVATION_RAD: f32 = -15.0 * core::f32::consts::PI / 180.0;
 /// Upper edge of a background table, rad.
@@ -53,6 +61,30 @@ pub const GROUP: u32 = 256;
 pub const TILE_GROUP: u32 = 64;
 /// Invocations of the kernels that take one block of pixels each: four tiles.
 pub const BLEND_GROUP: u32 = 64;
+/// Pieces that the pixels are cut into where every invocation adds up one piece in order (losses).
+pub const LOSS_PIECES: u32 = 16384;
+/// Kind of a target picture: three bytes per pixel.
+pub const TARGET_RGB8: u32 = 0;
+/// Kind of a target picture: one byte per pixel.
+pub const TARGET_GRAY8: u32 = 1;
+/// Kind of a target picture: three reals per pixel.
+pub const TARGET_RGB_F32: u32 = 2;
+/// Sum of the absolute color differences.
+pub const SUM_ABSOLUTE: u32 = 0;
+/// Sum of the squared color differences.
+pub const SUM_SQUARE: u32 = 1;
+/// Sum of the weighted absolute depth differences, m.
+pub const SUM_DEPTH: u32 = 2;
+/// Sum of SSIM over pixels and channels.
+pub const SUM_SSIM: u32 = 3;
+/// Gradients of the exposure's gains.
+pub const SUM_GAIN: u32 = 4;
+/// Gradients of the exposure's biases.
+pub const SUM_BIAS: u32 = 7;
+/// Sum of the visible Gaussians' anisotropies; the only one that does not come from pixels.
+pub const SUM_ANISOTROPY: u32 = 10;
+/// Sums of a training view.
+pub const N_LOSS_SUMS: u32 = 11;
 /// Pieces that a list is cut into where every invocation walks one piece in order (sorting).
 pub const SORT_PIECES: u32 = 1024;
 /// Bits of a sort key that one pass looks at.
@@ -104,6 +136,22 @@ pub const ALL: &[(&str, Value)] = &[
     ("DIGIT_BITS", Value::U32(DIGIT_BITS)),
     ("DIGITS", Value::U32(DIGITS)),
     ("NOT_VISIBLE", Value::U32(NOT_VISIBLE)),
+    ("FIRST_LOG_SCALE", Value::U32(FIRST_LOG_SCALE)),
+    ("FIRST_ROTATION", Value::U32(FIRST_ROTATION)),
+    ("FIRST_OPACITY", Value::U32(FIRST_OPACITY)),
+    ("LOSS_PIECES", Value::U32(LOSS_PIECES)),
+    ("TARGET_RGB8", Value::U32(TARGET_RGB8)),
+    ("TARGET_GRAY8", Value::U32(TARGET_GRAY8)),
+    ("TARGET_RGB_F32", Value::U32(TARGET_RGB_F32)),
+    ("SUM_ABSOLUTE", Value::U32(SUM_ABSOLUTE)),
+    ("SUM_SQUARE", Value::U32(SUM_SQUARE)),
+    ("SUM_DEPTH", Value::U32(SUM_DEPTH)),
+    ("SUM_SSIM", Value::U32(SUM_SSIM)),
+    ("SUM_GAIN", Value::U32(SUM_GAIN)),
+    ("SUM_BIAS", Value::U32(SUM_BIAS)),
+    ("SUM_ANISOTROPY", Value::U32(SUM_ANISOTROPY)),
+    ("N_LOSS_SUMS", Value::U32(N_LOSS_SUMS)),
+    ("TEXEL_NUMBERS", Value::U32(TEXEL_NUMBERS)),
 ];
 
 /// The constants as WGSL.

@@ -4,7 +4,7 @@
 //! file depends on nothing but its constants. Binding 0 of every kernel is the uniform block `view`; the table
 //! lists what follows.
 
-use super::kernel_constants::{self as constants, BLEND_GROUP, DIGITS, GROUP, SORT_PIECES, TILE_GROUP};
+use super::kernel_constants::{self as constants, BLEND_GROUP, DIGITS, GROUP, LOSS_PIECES, SORT_PIECES, TILE_GROUP};
 
 /// How a kernel touches a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,6 +135,32 @@ kernels! {
         [read planes, read upstream, read bounds, write texel_sums];
     /// Gradients of the texels.
     CollectSky = "collect_sky", GROUP, ["bounds", "texel_fixed"], [read bounds, write texel_sums, write texel_grads];
+    /// Terms of the loss that look at one pixel, and where its gradients begin.
+    ComparePixels = "compare_pixels", GROUP, [],
+        [read target_words, read target_depth, read planes, write target_planes, write exposed_planes,
+         write upstream, write loss_sums];
+    /// Row sums of one channel's windows.
+    SsimRows = "ssim_rows", GROUP, ["window", "row_strip"],
+        [read channel, read exposed_planes, read target_planes, write window_sums];
+    /// SSIM of one channel and its slopes.
+    SsimCompare = "ssim_compare", GROUP, ["window", "column_strip"],
+        [read window_sums, write window_slopes, write loss_sums];
+    /// Column sums of the slopes.
+    SsimColumns = "ssim_columns", GROUP, ["window", "column_strip"], [read window_slopes, write window_sums];
+    /// Gradients of one channel's SSIM.
+    SsimCollect = "ssim_collect", GROUP, ["window", "row_strip"],
+        [read channel, read exposed_planes, read target_planes, read window_sums, write upstream];
+    /// Gradients of the exposure, and of the picture before it.
+    ThroughExposure = "through_exposure", GROUP, [], [read planes, write upstream, write loss_sums];
+    /// Sums of a training view.
+    ReduceLoss = "reduce_loss", GROUP, ["counters"],
+        [read counters, read loss_sums, read anisotropy_sums, write loss_report];
+    /// Adam step of the visible Gaussians' stored numbers.
+    StepParams = "step_params", GROUP, ["counters", "splat", "adam"],
+        [read counters, read candidates, read splats, read effective, write params, write param_first,
+         write param_second, write param_steps];
+    /// Adam step of the background.
+    StepSky = "step_sky", GROUP, ["adam"], [read texel_grads, write texels, write texel_first, write texel_second];
 }
 
 impl Kernel {
@@ -159,4 +185,5 @@ impl KernelSpec {
 
 const _: () =
     assert!(DIGITS == GROUP && SORT_PIECES.is_multiple_of(GROUP), "sorting has an invocation per digit and piece");
+const _: () = assert!(LOSS_PIECES.is_multiple_of(GROUP), "losses have an invocation per piece");
 const _: () = assert!(BLEND_GROUP <= 256 && GROUP <= 256, "devices promise no more than 256 invocations");

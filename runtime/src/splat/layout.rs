@@ -1,5 +1,6 @@
 //! Structs that the host and the kernels share; a test compares every member with the WGSL.
 
+use super::kernel_constants::N_LOSS_SUMS;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// The uniform block of every kernel (`shaders/shared/view.wgsl`).
@@ -186,4 +187,12 @@ pub struct Splat {
     pub slope: f32,
     /// Half length of the row through the mean, px.
     pub half_px: f32,
+}
+
+/// Sums over the picture and the visible Gaussians, in the order of the `SUM_...` constants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct LossReport {
+    /// The sums.
+    pub sums: [f32; N_LOSS_SUMS as usize],
 }

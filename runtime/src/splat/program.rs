@@ -3,10 +3,14 @@
 //! Stages are static: which buffers a kernel is bound to never changes, so an executor prepares everything when it
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
-use super::kernel_constants::{BLOCK_PX, DIGITS, GROUP, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX};
+use super::kernel_constants::{
+    BLOCK_PX, DIGITS, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX,
+};
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
 use super::{BACKGROUND_TEXELS, Capacities, MemoryRow};
+
+mod learn;
 
 /// Declares the buffers: the enum, its names and how large each is.
 macro_rules! buffers {
@@ -104,6 +108,32 @@ buffers! {
     TexelSums = "splat.device.texel_sums", |_| 2 * TEXEL_NUMBERS, 4;
     /// Gradients of the texels of the view's chunk row.
     TexelGrads = "splat.device.texel_grads", |_| TEXEL_NUMBERS, 4;
+    /// Picture to imitate, as it was given.
+    TargetWords = "splat.device.target_words", |s| s.training_pixels * 3, 4;
+    /// Depth to imitate, then its confidence.
+    TargetDepth = "splat.device.target_depth", |s| s.training_pixels * 2, 4;
+    /// Red, green, blue to imitate.
+    TargetPlanes = "splat.device.target_planes", |s| s.training_pixels * 3, 4;
+    /// Red, green, blue after exposure.
+    ExposedPlanes = "splat.device.exposed_planes", |s| s.training_pixels * 3, 4;
+    /// Sums of one channel over windows.
+    WindowSums = "splat.device.window_sums", |s| s.training_pixels * 5, 4;
+    /// Slopes of SSIM with respect to three of them.
+    WindowSlopes = "splat.device.window_slopes", |s| s.training_pixels * 3, 4;
+    /// Sums of each piece of the pixels.
+    LossSums = "splat.device.loss_sums", |_| (LOSS_PIECES * N_LOSS_SUMS) as usize, 4;
+    /// Sums of a training view.
+    LossReport = "splat.device.loss_report", |_| N_LOSS_SUMS as usize, 4;
+    /// Running means of the gradients of `params`.
+    ParamFirst = "splat.device.param_first", |s| s.gaussians * N_PARAMS as usize, 4;
+    /// Running means of their squares.
+    ParamSecond = "splat.device.param_second", |s| s.gaussians * N_PARAMS as usize, 4;
+    /// Adam steps of each Gaussian.
+    ParamSteps = "splat.device.param_steps", |s| s.gaussians, 4;
+    /// Running means of the gradients of `texels`.
+    TexelFirst = "splat.device.texel_first", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
+    /// Running means of their squares.
+    TexelSecond = "splat.device.texel_second", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
 }
 
 /// Red, green, blue, depth, transmittance.
@@ -244,13 +274,18 @@ pub enum Part {
     /// From splats in depth order to the picture.
     Blend,
     /// From [`Buffer::Upstream`] to gradients: those of the candidates' numbers replace the numbers in
-    /// [`Buffer::Effective`], those of the background are in [`Buffer::TexelGrads`].
+    /// [`Buffer::Effective`], those of the background are in [`Buffer::TexelGrads`]. Reports the sums of the loss.
     Backward,
+    /// From the picture and the target to [`Buffer::Upstream`].
+    Compare,
+    /// The optimizer's step.
+    Step,
 }
 
 impl Part {
     /// All parts in the order of their numbers.
-    pub const ALL: &'static [Self] = &[Self::Project, Self::Sort, Self::Blend, Self::Backward];
+    pub const ALL: &'static [Self] =
+        &[Self::Project, Self::Sort, Self::Blend, Self::Backward, Self::Compare, Self::Step];
 
     /// The part's dispatches in order.
     pub fn stages(self) -> &'static [Stage] {
@@ -258,7 +293,9 @@ impl Part {
             Self::Project => PROJECT,
             Self::Sort => SORT.as_flattened(),
             Self::Blend => BLEND,
-            Self::Backward => BACKWARD,
+            Self::Backward => learn::BACKWARD,
+            Self::Compare => learn::COMPARE,
+            Self::Step => learn::STEP,
         }
     }
 }
@@ -337,34 +374,4 @@ const BLEND: &[Stage] = &[
     ),
     stage(Kernel::Blend, Extent::Blocks, &[B::Splats, B::TileStarts, B::Pairs, B::Planes]),
     stage(Kernel::ComposeSky, Extent::Pixels, &[B::Texels, B::Planes]),
-];
-
-/// An invocation per number of a background table.
-const TEXEL_GROUPS: Extent = Extent::Groups((TEXEL_NUMBERS as u32).div_ceil(GROUP));
-
-/// From gradients of the picture to gradients of everything that is trained.
-const BACKWARD: &[Stage] = &[
-    stage(Kernel::BoundGradients, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds]),
-    stage(
-        Kernel::BlendBackward,
-        Extent::Blocks,
-        &[B::Splats, B::TileStarts, B::Pairs, B::Planes, B::Upstream, B::Bounds, B::SplatSums],
-    ),
-    stage(
-        Kernel::SplattingBackward,
-        CANDIDATES,
-        &[
-            B::Anchors,
-            B::Keyframes,
-            B::Candidates,
-            B::Counters,
-            B::Splats,
-            B::Bounds,
-            B::SplatSums,
-            B::Effective,
-            B::AnisotropySums,
-        ],
-    ),
-    stage(Kernel::SpreadSky, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds, B::TexelSums]),
-    stage(Kernel::CollectSky, TEXEL_GROUPS, &[B::Bounds, B::TexelSums, B::TexelGrads]),
 ];

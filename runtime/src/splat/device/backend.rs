@@ -29,6 +29,8 @@ pub struct DeviceBackend<E> {
     pub(super) exposures: Exposures,
     /// Red, green, blue on their way from the device.
     planes: Vec<f32>,
+    /// Adam steps of each background.
+    pub(super) background_steps: Vec<u32>,
     /// Zeros of one slot.
     zeros: Vec<u8>,
     /// Set when every stage is run and waited for on its own.
@@ -81,6 +83,7 @@ impl<E: Executor> DeviceBackend<E> {
             keyframes: vec![KeyframeBlock::default(); capacities.keyframe_rows],
             exposures: Exposures::new(capacities.exposure_slots),
             planes: vec![0.0; 3 * n_pixels],
+            background_steps: vec![0; capacities.chunk_rows],
             zeros: vec![0; k * size_of::<GaussianParams>()],
             clock: None,
             capacities,
@@ -210,7 +213,11 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
             let slot = slot as usize;
             let written = self.device.call(|e| {
                 e.upload(Buffer::Anchors, slot * size_of::<DeviceAnchor>(), anchor.as_bytes())?;
-                e.upload(Buffer::Params, slot * self.zeros.len(), params.as_bytes())
+                e.upload(Buffer::Params, slot * self.zeros.len(), params.as_bytes())?;
+                e.upload(Buffer::ParamFirst, slot * self.zeros.len(), &self.zeros)?;
+                e.upload(Buffer::ParamSecond, slot * self.zeros.len(), &self.zeros)?;
+                let steps = &self.zeros[..params.len() * size_of::<u32>()];
+                e.upload(Buffer::ParamSteps, slot * steps.len(), steps)
             });
             refused -= usize::from(written);
         }
@@ -266,7 +273,13 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         if !fits || !texels.as_flattened().iter().all(|v| v.is_finite()) {
             return false;
         }
-        self.device.call(|e| e.upload(Buffer::Texels, row * size_of_val(texels), texels.as_bytes()))
+        self.background_steps[row] = 0;
+        let (at, len) = (row * size_of_val(texels), size_of_val(texels));
+        self.device.call(|e| {
+            e.upload(Buffer::Texels, at, texels.as_bytes())?;
+            e.clear(Buffer::TexelFirst, at, len)?;
+            e.clear(Buffer::TexelSecond, at, len)
+        })
     }
 
     fn read_background(&self, chunk_row: u16, texels: &mut [[f32; 3]]) -> bool {
@@ -315,9 +328,8 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         self.stats().filter(|_| read).unwrap_or_else(refused)
     }
 
-    fn train_step(&mut self, training: &TrainingView<'_>, _settings: &StepSettings) -> StepReport {
-        let _ = training;
-        StepReport { stats: refused(), ..StepReport::default() }
+    fn train_step(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
+        self.train(training, settings)
     }
 
     fn stage_times(&self) -> StageTimes {

@@ -8,6 +8,7 @@ mod fallback;
 mod gradients;
 mod host_copy;
 mod slots;
+mod training;
 mod view;
 
 pub use arena::{Arena, ArenaFull, ArenaRange, EXCHANGE_BYTES, arena_bytes};

@@ -1,10 +1,13 @@
 //! The devices to test on: whatever is there, and a word about what is not.
 
 use crate::splat::cpu::decode::N_PARAMS;
+use crate::splat::device::backend::DRAW;
 use crate::splat::device::{DeviceBackend, DeviceError, Executor};
+use crate::splat::program::{Buffer, Part};
 use crate::splat::vulkan::{VulkanBackend, VulkanExecutor, testing};
 use crate::splat::wgpu::{WgpuBackend, WgpuExecutor};
-use crate::splat::{BACKGROUND_TEXELS, Capacities, SplatBackend, View};
+use crate::splat::{BACKGROUND_TEXELS, Capacities, SplatBackend, StepReport, StepSettings, TrainingView, View};
+use zerocopy::IntoBytes;
 
 /// Memory that a test may take.
 const CAP_BYTES: usize = 1 << 30;
@@ -13,6 +16,22 @@ const CAP_BYTES: usize = 1 << 30;
 pub trait Device: SplatBackend {
     /// Gradients of the Gaussians' numbers and of the background.
     fn gradients(&mut self, view: &View, upstream: &[Vec<f32>; 5]) -> (Vec<[f32; N_PARAMS]>, Vec<[f32; 3]>);
+
+    /// Loss of a training view and the same gradients; nothing is trained.
+    fn training_gradients(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> TrainingGradients;
+
+    /// First words of a buffer.
+    fn words(&self, buffer: Buffer, n: usize) -> Vec<u32>;
+
+    /// Overwrites the beginning of a buffer.
+    fn set_words(&mut self, buffer: Buffer, words: &[u32]);
+}
+
+/// What a training view would teach.
+pub struct TrainingGradients {
+    pub report: StepReport,
+    pub params: Vec<[f32; N_PARAMS]>,
+    pub texels: Vec<[f32; 3]>,
 }
 
 impl<E: Executor> Device for DeviceBackend<E> {
@@ -22,6 +41,25 @@ impl<E: Executor> Device for DeviceBackend<E> {
         let (mut params, mut texels) = (vec![[f32::NAN; N_PARAMS]; n], vec![[f32::NAN; 3]; BACKGROUND_TEXELS]);
         assert!(DeviceBackend::gradients(self, view, planes, &mut params, &mut texels), "{:?}", self.failure());
         (params, texels)
+    }
+
+    fn training_gradients(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> TrainingGradients {
+        let parts = [DRAW[0], DRAW[1], DRAW[2], Part::Compare, Part::Backward];
+        let n = self.capacities().anchors * self.capacities().gaussians_per_anchor;
+        let (mut params, mut texels) = (vec![[f32::NAN; N_PARAMS]; n], vec![[f32::NAN; 3]; BACKGROUND_TEXELS]);
+        let (report, _) = self.compare(training, settings, 1, &parts).expect("fits");
+        assert!(self.read_gradients(&mut params, &mut texels), "{:?}", self.failure());
+        TrainingGradients { report, params, texels }
+    }
+
+    fn words(&self, buffer: Buffer, n: usize) -> Vec<u32> {
+        let mut out = vec![0u32; n];
+        assert!(self.device.call(|e| e.download(buffer, 0, out.as_mut_bytes())), "{:?}", self.failure());
+        out
+    }
+
+    fn set_words(&mut self, buffer: Buffer, words: &[u32]) {
+        assert!(self.device.call(|e| e.upload(buffer, 0, words.as_bytes())), "{:?}", self.failure());
     }
 }
 

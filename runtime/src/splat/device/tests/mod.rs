@@ -3,3 +3,4 @@ mod fallback;
 mod gradients;
 mod pictures;
 mod table;
+mod training;

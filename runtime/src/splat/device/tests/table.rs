@@ -169,6 +169,7 @@ fn structs_agree_member_by_member() {
         slope,
         half_px,
     });
+    check_layout!(LossReport { sums });
     check_layout!(IndirectGroups { candidates_x, candidates_y, candidates_z, spare });
 }
 

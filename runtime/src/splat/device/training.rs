@@ -1,0 +1,156 @@
+//! A training step on a device: what is uploaded before it, and what is read after it.
+
+use super::backend::{DRAW, DeviceBackend, refused};
+use super::error::DeviceError;
+use super::executor::Executor;
+use crate::splat::cpu::loss::ExposureGradient;
+use crate::splat::kernel_constants::{
+    SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_SQUARE, SUM_SSIM, TARGET_GRAY8, TARGET_RGB_F32,
+    TARGET_RGB8,
+};
+use crate::splat::layout::{LossReport, ViewBlock};
+use crate::splat::program::{Buffer, Part};
+use crate::splat::{
+    DepthTarget, Exposure, LossTerms, RenderStats, StepReport, StepSettings, TargetImage, TrainingView,
+};
+use zerocopy::IntoBytes;
+
+/// The parts of a training step.
+const TRAIN: [Part; 6] = [DRAW[0], DRAW[1], DRAW[2], Part::Compare, Part::Backward, Part::Step];
+
+impl<E: Executor> DeviceBackend<E> {
+    /// Draws, compares and steps; refused when something does not fit or the device fails.
+    pub(super) fn train(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
+        let row = usize::from(training.view.chunk_row);
+        let background_rate = settings.rates.background.at(settings.progress);
+        let step = self.background_steps.get(row).map_or(0, |steps| steps.saturating_add(1));
+        let taken = self.compare(training, settings, step, &TRAIN);
+        let Some((mut report, gradient)) = taken else {
+            return StepReport { stats: refused(), ..StepReport::default() };
+        };
+        if background_rate > 0.0 {
+            self.background_steps[row] = step;
+        }
+        if let Some(slot) = training.exposure_slot {
+            let weight = settings.weights.exposure;
+            let rate = settings.rates.exposure.at(settings.progress);
+            report.loss.exposure = self.exposures.step(slot, &gradient, weight, rate);
+            report.loss.total += weight * report.loss.exposure;
+        }
+        report
+    }
+
+    /// Runs parts of a training step; `background_step` counts the background's steps, this one included. `None` when
+    /// something does not fit or the device fails.
+    pub(super) fn compare(
+        &mut self,
+        training: &TrainingView<'_>,
+        settings: &StepSettings,
+        background_step: u32,
+        parts: &[Part],
+    ) -> Option<(StepReport, ExposureGradient)> {
+        if !self.capacities.fits_training(training) {
+            return None;
+        }
+        let block = ViewBlock { background_step, ..self.training_block(training, settings) };
+        let uploaded = self.device.call(|e| {
+            upload_target(e, training.target)?;
+            training.depth.map_or(Ok(()), |depth| upload_depth(e, depth))
+        });
+        if !uploaded || !self.run(&training.view, &block, parts) {
+            return None;
+        }
+        let stats = self.stats()?;
+        let mut found = LossReport::default();
+        let read = self.device.call(|e| e.download(Buffer::LossReport, 0, found.as_mut_bytes()));
+        read.then(|| {
+            let loss = loss_terms(&found, &block, &stats);
+            (StepReport { loss, stats }, exposure_gradient(&found, training.exposure_slot.is_some()))
+        })
+    }
+
+    /// The uniform block of a training view.
+    fn training_block(&self, training: &TrainingView<'_>, settings: &StepSettings) -> ViewBlock {
+        let exposure = training.exposure_slot.and_then(|slot| self.exposures.get(slot)).unwrap_or(Exposure::IDENTITY);
+        let per_channel = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
+        let confidences = training.depth.map_or(0.0, |depth| {
+            depth.confidence.iter().map(|&confidence| f64::from(confidence.max(0.0))).sum::<f64>()
+        });
+        let (rates, weights) = (&settings.rates, &settings.weights);
+        let rate = |rate: &crate::splat::LearningRate| rate.at(settings.progress);
+        ViewBlock {
+            target_kind: match training.target {
+                TargetImage::Rgb8(_) => TARGET_RGB8,
+                TargetImage::Gray8(_) => TARGET_GRAY8,
+                TargetImage::RgbF32(_) => TARGET_RGB_F32,
+            },
+            has_depth: u32::from(confidences > 0.0),
+            has_exposure: u32::from(training.exposure_slot.is_some()),
+            gain: per_channel(exposure.gain),
+            bias: per_channel(exposure.bias),
+            l1_weight: weights.l1,
+            ssim_weight: weights.ssim,
+            depth_weight: weights.depth,
+            isotropy_weight: weights.isotropy,
+            confidence_sum: confidences as f32,
+            offset_rate: rate(&rates.offset),
+            log_scale_rate: rate(&rates.log_scale),
+            rotation_rate: rate(&rates.rotation),
+            opacity_rate: rate(&rates.opacity),
+            color_rate: rate(&rates.color),
+            background_rate: rate(&rates.background),
+            ..self.block(&training.view)
+        }
+    }
+}
+
+fn upload_target<E: Executor>(executor: &mut E, target: TargetImage<'_>) -> Result<(), DeviceError> {
+    let bytes = match target {
+        TargetImage::Rgb8(bytes) | TargetImage::Gray8(bytes) => bytes,
+        TargetImage::RgbF32(pixels) => pixels.as_bytes(),
+    };
+    let (words, rest) = bytes.split_at(bytes.len() & !3);
+    if !words.is_empty() {
+        executor.upload(Buffer::TargetWords, 0, words)?;
+    }
+    if rest.is_empty() {
+        return Ok(());
+    }
+    let mut last = [0; 4];
+    last[..rest.len()].copy_from_slice(rest);
+    executor.upload(Buffer::TargetWords, words.len(), &last)
+}
+
+fn upload_depth<E: Executor>(executor: &mut E, depth: DepthTarget<'_>) -> Result<(), DeviceError> {
+    executor.upload(Buffer::TargetDepth, 0, depth.depth_m.as_bytes())?;
+    executor.upload(Buffer::TargetDepth, size_of_val(depth.depth_m), depth.confidence.as_bytes())
+}
+
+fn loss_terms(found: &LossReport, block: &ViewBlock, stats: &RenderStats) -> LossTerms {
+    let n_values = f64::from(3 * block.width * block.height);
+    let mean = |i: u32, n: f64| (f64::from(found.sums[i as usize]) / n) as f32;
+    let mut terms = LossTerms {
+        l1: mean(SUM_ABSOLUTE, n_values),
+        mse: mean(SUM_SQUARE, n_values),
+        ssim: mean(SUM_SSIM, n_values),
+        isotropy: mean(SUM_ANISOTROPY, f64::from(stats.visible.max(1))),
+        ..LossTerms::default()
+    };
+    if block.has_depth != 0 {
+        terms.depth = mean(SUM_DEPTH, f64::from(block.confidence_sum));
+    }
+    terms.total =
+        block.l1_weight * terms.l1 + block.depth_weight * terms.depth + block.isotropy_weight * terms.isotropy;
+    if block.ssim_weight != 0.0 {
+        terms.total += block.ssim_weight * (1.0 - terms.ssim);
+    }
+    terms
+}
+
+fn exposure_gradient(found: &LossReport, has_exposure: bool) -> ExposureGradient {
+    if !has_exposure {
+        return ExposureGradient::default();
+    }
+    let three = |first: u32| [0, 1, 2].map(|i| f64::from(found.sums[first as usize + i]));
+    ExposureGradient { gain: three(SUM_GAIN), bias: three(SUM_BIAS) }
+}

@@ -1,0 +1,91 @@
+//! The dispatches of a training step that follow the picture.
+
+use super::{Buffer as B, CANDIDATES, Extent, Stage, TEXEL_NUMBERS, stage};
+use crate::splat::kernel_constants::{GROUP, LOSS_PIECES};
+use crate::splat::kernels::Kernel;
+
+/// An invocation per piece of the pixels.
+const PIECES: Extent = Extent::Groups(LOSS_PIECES / GROUP);
+
+/// An invocation per number of a background table.
+const TEXEL_GROUPS: Extent = Extent::Groups((TEXEL_NUMBERS as u32).div_ceil(GROUP));
+
+/// SSIM of the channel that a buffer holds.
+macro_rules! ssim {
+    ($channel:ident) => {
+        [
+            stage(Kernel::SsimRows, PIECES, &[B::$channel, B::ExposedPlanes, B::TargetPlanes, B::WindowSums]),
+            stage(Kernel::SsimCompare, PIECES, &[B::WindowSums, B::WindowSlopes, B::LossSums]),
+            stage(Kernel::SsimColumns, PIECES, &[B::WindowSlopes, B::WindowSums]),
+            stage(
+                Kernel::SsimCollect,
+                PIECES,
+                &[B::$channel, B::ExposedPlanes, B::TargetPlanes, B::WindowSums, B::Upstream],
+            ),
+        ]
+    };
+}
+
+const RED: [Stage; 4] = ssim!(Digit0);
+const GREEN: [Stage; 4] = ssim!(Digit1);
+const BLUE: [Stage; 4] = ssim!(Digit2);
+
+/// From the picture and the target to gradients with respect to the picture.
+pub const COMPARE: &[Stage] = &[
+    stage(
+        Kernel::ComparePixels,
+        PIECES,
+        &[B::TargetWords, B::TargetDepth, B::Planes, B::TargetPlanes, B::ExposedPlanes, B::Upstream, B::LossSums],
+    ),
+    RED[0],
+    RED[1],
+    RED[2],
+    RED[3],
+    GREEN[0],
+    GREEN[1],
+    GREEN[2],
+    GREEN[3],
+    BLUE[0],
+    BLUE[1],
+    BLUE[2],
+    BLUE[3],
+    stage(Kernel::ThroughExposure, PIECES, &[B::Planes, B::Upstream, B::LossSums]),
+];
+
+/// From gradients of the picture to gradients of everything that is trained.
+pub const BACKWARD: &[Stage] = &[
+    stage(Kernel::BoundGradients, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds]),
+    stage(
+        Kernel::BlendBackward,
+        Extent::Blocks,
+        &[B::Splats, B::TileStarts, B::Pairs, B::Planes, B::Upstream, B::Bounds, B::SplatSums],
+    ),
+    stage(
+        Kernel::SplattingBackward,
+        CANDIDATES,
+        &[
+            B::Anchors,
+            B::Keyframes,
+            B::Candidates,
+            B::Counters,
+            B::Splats,
+            B::Bounds,
+            B::SplatSums,
+            B::Effective,
+            B::AnisotropySums,
+        ],
+    ),
+    stage(Kernel::SpreadSky, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds, B::TexelSums]),
+    stage(Kernel::CollectSky, TEXEL_GROUPS, &[B::Bounds, B::TexelSums, B::TexelGrads]),
+    stage(Kernel::ReduceLoss, Extent::Groups(1), &[B::Counters, B::LossSums, B::AnisotropySums, B::LossReport]),
+];
+
+/// The optimizer's step.
+pub const STEP: &[Stage] = &[
+    stage(
+        Kernel::StepParams,
+        CANDIDATES,
+        &[B::Counters, B::Candidates, B::Splats, B::Effective, B::Params, B::ParamFirst, B::ParamSecond, B::ParamSteps],
+    ),
+    stage(Kernel::StepSky, TEXEL_GROUPS, &[B::TexelGrads, B::Texels, B::TexelFirst, B::TexelSecond]),
+];

@@ -1,0 +1,76 @@
+// Column sums, the similarity of one channel and its slopes. Each invocation takes every LOSS_PIECES-th strip.
+@group(0) @binding(1) var<storage, read> window_sums: array<f32>;
+@group(0) @binding(2) var<storage, read_write> window_slopes: array<f32>;
+@group(0) @binding(3) var<storage, read_write> loss_sums: array<f32>;
+
+// (0.01 L)^2 and (0.03 L)^2 with L = 1.
+const C1: f32 = 0.0001;
+const C2: f32 = 0.0009;
+
+struct Similarity {
+    value: vec4<f32>,
+    // Derivatives with respect to the window sums of x, xx, xy.
+    by_mean: vec4<f32>,
+    by_variance: vec4<f32>,
+    by_covariance: vec4<f32>,
+}
+
+fn similarity(mean_x: vec4<f32>, mean_y: vec4<f32>, xx: vec4<f32>, yy: vec4<f32>, xy: vec4<f32>) -> Similarity {
+    let covariance = xy - mean_x * mean_y;
+    let variances = (xx - mean_x * mean_x) + (yy - mean_y * mean_y);
+    let mean_top = 2.0 * mean_x * mean_y + C1;
+    let mean_bottom = mean_x * mean_x + mean_y * mean_y + C1;
+    let variance_top = 2.0 * covariance + C2;
+    let variance_bottom = variances + C2;
+    let inverse = 1.0 / (mean_bottom * variance_bottom);
+    let value = mean_top * variance_top * inverse;
+    let by_covariance = 2.0 * mean_top * inverse;
+    let by_variance = -value / variance_bottom;
+    let by_mean = 2.0 * mean_y * variance_top * inverse - 2.0 * mean_x * value / mean_bottom;
+    // The variance and covariance contain the mean as well.
+    return Similarity(
+        value,
+        by_mean - 2.0 * mean_x * by_variance - mean_y * by_covariance,
+        by_variance,
+        by_covariance,
+    );
+}
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if view.ssim_weight == 0.0 {
+        return;
+    }
+    let n = view.width * view.height;
+    var total = 0.0;
+    for (var i = id.x; i < n_strips(); i += LOSS_PIECES) {
+        let s = strip_of(i);
+        var mean_x = vec4<f32>();
+        var mean_y = vec4<f32>();
+        var xx = vec4<f32>();
+        var yy = vec4<f32>();
+        var xy = vec4<f32>();
+        for (var tap = 0u; tap < TAPS; tap++) {
+            let at = tap_of(s, tap);
+            if at < n {
+                let weight = weights_of(tap);
+                mean_x += weight * window_sums[at];
+                mean_y += weight * window_sums[n + at];
+                xx += weight * window_sums[2u * n + at];
+                yy += weight * window_sums[3u * n + at];
+                xy += weight * window_sums[4u * n + at];
+            }
+        }
+        let found = similarity(mean_x, mean_y, xx, yy, xy);
+        for (var j = 0u; j < STRIP; j++) {
+            let at = pixel_of(s, j);
+            if at < n {
+                window_slopes[at] = found.by_mean[j];
+                window_slopes[n + at] = found.by_variance[j];
+                window_slopes[2u * n + at] = found.by_covariance[j];
+                total += found.value[j];
+            }
+        }
+    }
+    loss_sums[SUM_SSIM * LOSS_PIECES + id.x] += total;
+}
