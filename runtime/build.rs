@@ -21,6 +21,7 @@ fn main() -> ExitCode {
     }
     let mut text =
         String::from("/// SPIR-V of every row of the kernel table.\npub const KERNEL_SPIRV: &[&[u32]] = &[\n");
+    let use_subgroups = KERNELS.iter().any(|spec| spec.wgsl().contains("subgroup"));
     let mut is_fine = true;
     for spec in KERNELS {
         match compile(spec) {
@@ -33,7 +34,8 @@ fn main() -> ExitCode {
             }
         }
     }
-    text.push_str("];\n");
+    text.push_str("];\n/// Some kernel uses subgroup operations.\n");
+    let _ = writeln!(text, "pub const KERNELS_USE_SUBGROUPS: bool = {use_subgroups};");
     let out = std::env::var_os("OUT_DIR").unwrap_or_default();
     if let Err(error) = std::fs::write(Path::new(&out).join("kernel_spirv.rs"), text) {
         println!("cargo::error=writing the compiled kernels: {error}");

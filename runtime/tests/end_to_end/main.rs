@@ -6,6 +6,7 @@
 mod drive;
 mod program;
 
+mod device;
 mod fit;
 mod refusals;
 mod replay;

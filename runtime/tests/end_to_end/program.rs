@@ -44,9 +44,17 @@ pub fn kilogs_succeeds<Word: AsRef<OsStr>>(words: impl IntoIterator<Item = Word>
 impl Program {
     /// Starts `kilogs`.
     pub fn start<Word: AsRef<OsStr>>(words: impl IntoIterator<Item = Word>) -> Self {
+        Self::start_with(words, None)
+    }
+
+    /// Starts `kilogs` with variables of its own in its environment.
+    pub fn start_with<Word: AsRef<OsStr>>(
+        words: impl IntoIterator<Item = Word>,
+        variables: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> Self {
         let stderr = NamedTempFile::new().expect("a temporary file");
         let mut command = Command::new(env!("CARGO_BIN_EXE_kilogs"));
-        command.args(words).env_remove("RUST_LOG").env_remove("KILOGS_SEAL_TRACE");
+        command.args(words).env_remove("RUST_LOG").env_remove("KILOGS_SEAL_TRACE").envs(variables);
         let line = format!("{command:?}");
         let to_file = stderr.reopen().expect("the temporary file");
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(to_file).spawn();

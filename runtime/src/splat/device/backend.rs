@@ -52,7 +52,6 @@ impl<E: Executor> Device<E> {
         match action(&mut self.executor.borrow_mut()) {
             Ok(()) => true,
             Err(error) => {
-                log::error!("{error}");
                 *self.failure.borrow_mut() = Some(error);
                 false
             }
@@ -92,7 +91,12 @@ impl<E: Executor> DeviceBackend<E> {
 
     /// Why the device stopped working, if it did.
     pub fn failure(&self) -> Option<String> {
-        self.device.failure.borrow().as_ref().map(ToString::to_string)
+        let failure = self.device.failure.borrow();
+        failure.as_ref().map(|error| {
+            // Asked for once, when the device is given up.
+            let _allocates = crate::seal::lift();
+            error.to_string()
+        })
     }
 
     /// Name of the device.

@@ -4,6 +4,7 @@ use super::choice::{DeviceInfo, DeviceRequest, choose};
 use super::instance::Instance;
 use super::kernels::Kernels;
 use super::listing::{Described, Limits, described};
+use crate::seal;
 use crate::splat::device::DeviceError;
 use ash::{ext, vk};
 use std::sync::Mutex;
@@ -117,6 +118,8 @@ impl VulkanDevice {
 
     /// What a failed call means.
     pub(super) fn error(&self, doing: &'static str, code: vk::Result) -> DeviceError {
+        // Once in a run: after an error the device is given up.
+        let _allocates = seal::lift();
         match code {
             vk::Result::ERROR_DEVICE_LOST => DeviceError::Lost { doing, reason: self.info.name.clone() },
             code => DeviceError::Driver { doing, device: self.info.name.clone(), reason: code.to_string() },

@@ -143,6 +143,8 @@ unsafe extern "system" fn hand_to_log(
     if kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION) {
         N_VALIDATION_MESSAGES.fetch_add(1, Relaxed);
     }
+    #[cfg(test)]
+    crate::splat::vulkan::testing::judge_message(&text);
     if severity.contains(vk::DebugUtilsMessageSeverityFlagsEXT::ERROR) {
         log::error!("Vulkan: {text}");
     } else {

@@ -2,6 +2,7 @@
 
 use super::choice::{DeviceInfo, DeviceKind};
 use super::instance::{Instance, MIN_API_VERSION};
+use super::spirv::KERNELS_USE_SUBGROUPS;
 use crate::splat::device::DeviceError;
 use ash::{ext, vk};
 use std::ffi::CStr;
@@ -9,7 +10,7 @@ use std::ffi::CStr;
 /// Subgroup sizes that the kernels work with.
 const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=64;
 
-/// What the kernels ask of a subgroup.
+/// What kernels that use subgroups ask of them.
 const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 4] = [
     (vk::SubgroupFeatureFlags::BASIC, "subgroups"),
     (vk::SubgroupFeatureFlags::BALLOT, "subgroup ballots"),
@@ -147,15 +148,21 @@ fn missing(
     if timeline.timeline_semaphore == vk::FALSE {
         return Some("timeline semaphores");
     }
+    if !KERNELS_USE_SUBGROUPS {
+        return few_bindings(limits);
+    }
     let in_compute = subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
     let absent = SUBGROUP_OPERATIONS.iter().find(|(flag, _)| !subgroup.supported_operations.contains(*flag));
     match absent {
         Some((_, name)) => Some(name),
         None if !in_compute => Some("subgroups in compute kernels"),
         None if !SUBGROUP_SIZES.contains(&subgroup.subgroup_size) => Some("subgroup size of 4 to 64"),
-        None if limits.max_per_stage_descriptor_storage_buffers < MAX_BINDINGS => Some("16 storage buffers per kernel"),
-        None => None,
+        None => few_bindings(limits),
     }
+}
+
+fn few_bindings(limits: &vk::PhysicalDeviceLimits) -> Option<&'static str> {
+    (limits.max_per_stage_descriptor_storage_buffers < MAX_BINDINGS).then_some("16 storage buffers per kernel")
 }
 
 fn import_alignment(instance: &ash::Instance, raw: vk::PhysicalDevice) -> Option<u64> {

@@ -1,0 +1,94 @@
+//! Drives that a Vulkan device maps: within their plan, refused when a row is too large, and finished when the device is
+//! lost half-way. Without a device, each test says that it was left out.
+
+use crate::drive::{Drive, write};
+use crate::program::{Ended, Program, kilogs, word};
+use crate::replay::{count, json, number};
+use serde_json::Value;
+use std::path::Path;
+
+const BUDGET: &str = include_str!("../../../memory_budget.toml");
+
+/// When this is `1`, a test that finds no device fails.
+const REQUIRE_VARIABLE: &str = "KILOGS_REQUIRE_VULKAN";
+
+/// Exit code of a compute device that cannot be had.
+const NO_DEVICE: i32 = 4;
+
+fn has_device() -> bool {
+    let ended = kilogs(["budget", "--backend", "vulkan", "--check"]);
+    if ended.code == Some(NO_DEVICE) {
+        println!("skipped: {}", ended.stderr);
+        assert!(std::env::var_os(REQUIRE_VARIABLE).is_none_or(|value| value != "1"), "{REQUIRE_VARIABLE}=1");
+        return false;
+    }
+    assert_eq!(ended.code, Some(0), "the shipped budget holds a device: {}", ended.stderr);
+    true
+}
+
+/// Runs `kilogs replay --backend vulkan`, with `lose_after` submissions before a pretended loss.
+fn replay(drive: &Drive, out: &Path, options: &[&str], lose_after: Option<u32>) -> Ended {
+    let (dataset, out) = (word(drive.path()), word(out));
+    let words = ["replay", &dataset, "--out", &out, "--iterations", "2", "--backend", "vulkan"];
+    let drill = lose_after.map(|n| ("KILOGS_VULKAN_LOSE_AFTER", n.to_string()));
+    Program::start_with(words.iter().chain(options), drill).wait()
+}
+
+fn text<'a>(report: &'a Value, pointer: &str) -> &'a str {
+    report.pointer(pointer).and_then(Value::as_str).unwrap_or_else(|| panic!("{pointer} in {report}"))
+}
+
+/// What holds for every run, whatever computed it.
+fn check_report(out: &Path, drive: &Drive) -> Value {
+    let report = json(&out.join("report.json"));
+    assert_eq!(count(&report, "/frames/received") as usize, drive.n_images(), "{report}");
+    assert_eq!(count(&report, "/memory/sealed_allocations"), 0, "{report}");
+    let used = count(&report, "/memory/rss_peak_bytes") + count(&report, "/memory/camera_rss_peak_bytes");
+    let cap = count(&report, "/memory/budget_host_bytes");
+    println!("{}: {} MiB of {} MiB", text(&report, "/backend/device"), used >> 20, cap >> 20);
+    assert!(used <= cap, "{report}");
+    assert!(count(&report, "/memory/device_peak_bytes") <= count(&report, "/memory/budget_device_bytes"), "{report}");
+    assert!(number(&report, "/mapping/psnr_train_db") > 10.0, "{report}");
+    report
+}
+
+#[test]
+fn a_drive_on_a_device_stays_within_its_plan_and_survives_its_loss() {
+    if !has_device() {
+        return;
+    }
+    let drive = Drive::new(12.0);
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, lost) = (folder.path().join("whole"), folder.path().join("lost"));
+    let ended = replay(&drive, &whole, &[], None);
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+    assert!(ended.stderr.contains("an arena of"), "{}", ended.stderr);
+    let report = check_report(&whole, &drive);
+    assert_eq!(text(&report, "/backend/kind"), "vulkan");
+
+    let ended = replay(&drive, &lost, &[], Some(60));
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+    assert!(ended.stderr.contains("Mapping goes on with the CPU backend"), "{}", ended.stderr);
+    let after_loss = check_report(&lost, &drive);
+    assert_eq!(text(&after_loss, "/backend/kind"), "cpu");
+    assert!(text(&after_loss, "/backend/device").contains("which failed"), "{after_loss}");
+    let odometry = |out: &Path| std::fs::read(out.join("odometry_tum.txt")).expect("an odometry");
+    assert!(odometry(&whole) == odometry(&lost), "tracking does not notice");
+}
+
+#[test]
+fn a_row_too_large_for_the_device_is_refused_by_name() {
+    if !has_device() {
+        return;
+    }
+    let drive = Drive::new(3.0);
+    let folder = tempfile::tempdir().expect("a folder");
+    let budget = folder.path().join("budget.toml");
+    let mut refused = |from: &str, to: &str, said: &str| {
+        assert!(BUDGET.contains(from), "{from} is not in the shipped budget");
+        write(&budget, BUDGET.replacen(from, to, 1).replace("_bytes = \"512 MiB\"", "_bytes = \"2 GiB\""));
+        let ended = replay(&drive, &folder.path().join("out"), &["--budget", &word(&budget)], None);
+        assert!(ended.code == Some(2) && ended.stderr.contains(said), "{said}: {ended:?}");
+    };
+    refused("[splat.pairs]\ncapacity = 1572864", "[splat.pairs]\ncapacity = 200000000", "[splat.pairs] takes");
+}
