@@ -83,12 +83,13 @@ pub fn main() -> Result<(), RunError> {
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
             let settings = crate::config::load(&command.config)?;
-            crate::budget::run(&command.args, settings.mapping.mapper.resolution)
+            let resolution = settings.mapping.mapper.resolution_for(command.args.camera.size.0);
+            crate::budget::run(&command.args, resolution)
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;
-            crate::doctor::run(&command.args, settings.mapping.mapper.resolution)
-                .map_err(|e| RunError::Run(e.to_string()))
+            let resolution = settings.mapping.mapper.resolution_for(command.args.camera.size.0);
+            crate::doctor::run(&command.args, resolution).map_err(|e| RunError::Run(e.to_string()))
         }
         Command::Camera(args) => Ok(kilogs_camera::cli::run(args)?),
     }

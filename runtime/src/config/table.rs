@@ -2,6 +2,7 @@
 
 use super::schema::{Kind, Range, Scalar, Setting};
 use crate::settings::{Matcher, Settings};
+use crate::splat::LearningRate;
 use kilogs_core::tracking::{DynamicFilter, PoseModels};
 
 macro_rules! number {
@@ -26,6 +27,12 @@ macro_rules! switch {
     ($key:literal, $planned:expr, $($field:tt)+) => {
         Setting { key: $key, kind: Kind::Switch { planned: $planned, put: |settings, on| settings.$($field)+ = on } }
     };
+}
+
+impl Scalar for LearningRate {
+    fn of(value: f64) -> Self {
+        Self::constant(value as f32)
+    }
 }
 
 /// Every setting, in the order of `default.toml`.
@@ -150,6 +157,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     switch!("tracking.motion_reverse_allowed", None, tracking.tracker.motion.reverse_allowed),
     switch!("mapping.enabled", None, mapping.enabled),
     number!("mapping.resolution", Range::closed(0.125, 1.0), mapping.mapper.resolution),
+    whole!("mapping.min_width_px", Range::closed(0.0, 4096.0), mapping.mapper.min_width_px),
     whole!("mapping.window", Range::closed(1.0, 64.0), mapping.mapper.window),
     whole!("mapping.older_views", Range::closed(0.0, 64.0), mapping.mapper.older_views),
     number!("mapping.newest_share", Range::closed(0.0, 1.0), mapping.mapper.newest_share),
@@ -178,6 +186,8 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.stereo_nearest_m", Range::closed(0.5, 50.0), mapping.mapper.stereo.nearest_m),
     number!("mapping.stereo_farthest_m", Range::closed(10.0, 1000.0), mapping.mapper.stereo.farthest_m),
     number!("mapping.stereo_min_baseline_m", Range::closed(0.05, 5.0), mapping.mapper.stereo.min_baseline_m),
+    number!("mapping.rate_log_scale", Range::closed(0.0, 1.0), mapping.mapper.step.rates.log_scale),
+    number!("mapping.rate_opacity", Range::closed(0.0, 1.0), mapping.mapper.step.rates.opacity),
     number!("mapping.loss_l1", Range::closed(0.0, 100.0), mapping.mapper.step.weights.l1),
     number!("mapping.loss_ssim", Range::closed(0.0, 100.0), mapping.mapper.step.weights.ssim),
     number!("mapping.loss_depth", Range::closed(0.0, 100.0), mapping.mapper.step.weights.depth),

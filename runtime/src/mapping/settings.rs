@@ -31,6 +31,8 @@ pub struct MapperSettings {
     pub seed: u64,
     /// Size of the training images relative to the camera's, (0, 1].
     pub resolution: f64,
+    /// Training images are at least this wide, or as wide as the camera's, px: a small camera has no detail to spare.
+    pub min_width_px: u32,
     /// Where Gaussians are inserted.
     pub insertion: InsertionSettings,
     /// First values of a Gaussian.
@@ -60,11 +62,17 @@ pub struct MapperSettings {
 }
 
 impl MapperSettings {
+    /// Size of the training images relative to those of a camera so wide.
+    pub fn resolution_for(&self, camera_width_px: u32) -> f64 {
+        self.resolution.max(f64::from(self.min_width_px) / f64::from(camera_width_px.max(1))).min(1.0)
+    }
+
     /// The values that the shipped maps were measured with.
     pub fn measured(seed: u64, resolution: f64) -> Self {
         Self {
             seed,
             resolution,
+            min_width_px: 600,
             insertion: InsertionSettings::MEASURED,
             spawn: SpawnSettings::MEASURED,
             stereo: StereoSettings::MEASURED,
@@ -78,6 +86,21 @@ impl MapperSettings {
             page_distance_m: 100.0,
             min_opacity: 0.05,
             max_width_ratio: 0.5,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_cameras_are_mapped_at_their_own_resolution() {
+        for (resolution, camera_width_px, expected) in
+            [(0.5, 1241, 0.5), (0.5, 800, 0.75), (0.5, 416, 1.0), (1.0, 1920, 1.0), (0.125, 4800, 0.125)]
+        {
+            let settings = MapperSettings::measured(0, resolution);
+            assert_eq!(settings.resolution_for(camera_width_px), expected, "{camera_width_px}");
         }
     }
 }

@@ -12,10 +12,6 @@ use kilogs_camera::source::{PixelFormat, SourceFormat};
 use kilogs_core::camera::{Mounting, Pinhole};
 use std::path::{Path, PathBuf};
 
-/// Given views are inserted from images at least this wide, px, or as wide as they are: what is not inserted is not
-/// trained, and there is no vehicle to keep up with.
-const MIN_INSERTION_WIDTH_PX: f64 = 600.0;
-
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pace {
@@ -73,7 +69,7 @@ impl RunPlan {
     /// # Errors
     /// [`RunError`] of configuration, budget, device or usage.
     pub fn new(args: &CommonArgs, format: SourceFormat, pace: Pace, out: &Path) -> Result<Self, RunError> {
-        let settings = args.settings()?;
+        let settings = mapping_settings(args, &format)?;
         let budget = args.budget()?;
         if format.mounting.is_none() {
             return Err(RunError::Usage(
@@ -97,9 +93,7 @@ impl RunPlan {
         out: &Path,
         max_gaussians: Option<usize>,
     ) -> Result<Self, RunError> {
-        let mut settings = args.settings()?;
-        let resolution = &mut settings.mapping.mapper.resolution;
-        *resolution = resolution.max(MIN_INSERTION_WIDTH_PX / f64::from(format.camera.width)).min(1.0);
+        let mut settings = mapping_settings(args, &format)?;
         // Pages leave when they are trained, wherever they are.
         settings.mapping.mapper.page_distance_m = f64::INFINITY;
         let budget = args.budget()?;
@@ -166,6 +160,14 @@ impl RunPlan {
     pub fn service_format(&self) -> ServiceFormat {
         ServiceFormat { width: self.camera.width, height: self.camera.height, pixel_format: None }
     }
+}
+
+/// Settings with the training resolution that this camera gets.
+fn mapping_settings(args: &CommonArgs, format: &SourceFormat) -> Result<Settings, RunError> {
+    let mut settings = args.settings()?;
+    let mapper = &mut settings.mapping.mapper;
+    mapper.resolution = mapper.resolution_for(format.camera.width);
+    Ok(settings)
 }
 
 fn plan_input(format: &SourceFormat, mapping_resolution: f64, compute: ComputeMemory) -> PlanInput {
