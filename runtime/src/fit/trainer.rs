@@ -21,10 +21,6 @@ use std::time::{Duration, Instant};
 const SECTION_FILL: f64 = 0.7;
 /// Share of the anchor pool down to which the oldest anchors leave after a section.
 const FILL_AFTER_SECTION: f64 = 0.4;
-/// Most steps on the newest views after each insertion: what is inserted next must see a map.
-const STEPS_PER_INSERTION: u32 = 4;
-/// Share of the effort that these steps may take.
-const INSERTION_SHARE: f64 = 0.25;
 /// One of so many views is revisited.
 const REVISIT_STRIDE: usize = 2;
 /// Purpose of the draws here (see [`Rng::new`]).
@@ -105,15 +101,6 @@ impl Trainer<'_> {
         self.usage.observe(Row::MapNewAnchors, inserted.n_anchors as usize);
         self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
         self.usage.observe(Row::MapVoxels, self.mapper.n_resident_anchors() as usize);
-        let started = Instant::now();
-        let share = INSERTION_SHARE * (active.view_idx + 1) as f64 / self.views.len() as f64;
-        for _ in 0..STEPS_PER_INSERTION {
-            if self.clock.progress(self.n_steps) >= share {
-                break;
-            }
-            self.n_steps += u64::from(self.mapper.optimize(1).n_iterations);
-        }
-        self.training += started.elapsed();
         Ok(())
     }
 
