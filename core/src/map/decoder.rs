@@ -14,10 +14,10 @@
 //! | `W2` | [`HIDDEN`] x outputs | `hidden * outputs + output` |
 //! | `b2` | outputs | `output = gaussian * 14 + number` |
 //!
-//! `number` counts the fields of [`GaussianParams`](super::GaussianParams) in their order. Sums go over ascending
+//! `number` counts the fields of [`GaussianParams`] in their order. Sums go over ascending
 //! inputs, respectively hidden units, and begin with the bias.
 
-use super::anchor::GAUSSIAN_PARAMS;
+use super::anchor::{GAUSSIAN_PARAMS, GaussianParams};
 use crate::math::Rng;
 use core::ops::{Add, Mul, Range};
 
@@ -207,6 +207,28 @@ pub fn decode_residual_backward<T: Number>(
     }
 }
 
+/// What a decoder adds to an anchor seen from the centre of the keyframe that spawned it: where something has to stand
+/// for all views at once.
+pub fn residual_at_spawn(
+    shape: DecoderShape,
+    weights: &[f32],
+    feature: &AnchorFeature,
+    position_in_keyframe_m: [f32; 3],
+    residual: &mut [f32],
+) {
+    let mut input = [0.0; INPUTS];
+    let numbers = feature.iter().copied().chain(view_input(position_in_keyframe_m));
+    input.iter_mut().zip(numbers).for_each(|(input, number)| *input = number);
+    decode_residual(shape, weights, &input, &mut [0.0; HIDDEN], residual);
+}
+
+/// A Gaussian with its part of a residual added; parts that are missing add nothing.
+pub fn with_residual(params: &GaussianParams, residual: &[f32]) -> GaussianParams {
+    let mut numbers: [f32; GAUSSIAN_PARAMS] = zerocopy::transmute!(*params);
+    numbers.iter_mut().zip(residual).for_each(|(number, residual)| *number += residual);
+    zerocopy::transmute!(numbers)
+}
+
 fn relu<T: Number>(value: T) -> T {
     if value > T::default() { value } else { T::default() }
 }
@@ -299,6 +321,27 @@ mod tests {
         assert!(fill_fresh_decoder(SHAPE, 3, 1, &mut other) && other != weights, "chunks differ");
         assert!(fill_fresh_decoder(SHAPE, 3, 0, &mut other) && other == weights, "a seed repeats");
         assert!(!fill_fresh_decoder(SHAPE, 3, 0, &mut other[1..]), "another length");
+    }
+
+    #[test]
+    fn a_residual_is_added_number_by_number() {
+        let params = GaussianParams {
+            offset: [0.0; 3],
+            log_scale: [10.0; 3],
+            quaternion_xyzw: [20.0; 4],
+            opacity_logit: 30.0,
+            color_logit: [40.0; 3],
+        };
+        let residual: [f32; GAUSSIAN_PARAMS] = core::array::from_fn(|i| i as f32);
+        let expected = GaussianParams {
+            offset: [0.0, 1.0, 2.0],
+            log_scale: [13.0, 14.0, 15.0],
+            quaternion_xyzw: [26.0, 27.0, 28.0, 29.0],
+            opacity_logit: 40.0,
+            color_logit: [51.0, 52.0, 53.0],
+        };
+        assert_eq!(with_residual(&params, &residual), expected);
+        assert_eq!(with_residual(&params, &[]), params);
     }
 
     #[test]

@@ -3,8 +3,10 @@
 use super::anchors::{Anchors, slot_bytes};
 use super::cull::KeyframeNumbers;
 use super::decode::{N_PARAMS, group};
-use super::decoders::{Decoders, decoder_row_bytes};
-use super::draw::{Drawn, Machine, ViewBuffers};
+use super::decode_anchors::SeenAnchors;
+use super::decode_anchors_backward::{DecoderGradients, ShownGradients, decoder_gradient_bytes};
+use super::decoders::{DecoderRule, Decoders, decoder_row_bytes};
+use super::draw::{Drawn, Machine, Map, ViewBuffers};
 use super::exposures::{EXPOSURE_BYTES, Exposures};
 use super::features::{FEATURE_BYTES, Features};
 use super::loss::{ExposureGradient, LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
@@ -12,7 +14,7 @@ use super::simd::{Dispatch, SimdLevel};
 use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
 use super::splats::{Lists, PAIR_BYTES, ROW_ENTRY_BYTES, VISIBLE_BYTES};
 use super::splatting::CameraView;
-use super::update::{UpdateRule, update};
+use super::update::{UpdateRule, UpdateTarget, update};
 use crate::pool::Pool;
 use crate::splat::{
     AnchorFeature, AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates,
@@ -20,20 +22,22 @@ use crate::splat::{
     View,
 };
 use kilogs_core::map::decoder::NO_FEATURE;
+use zerocopy::FromZeros;
 
 /// Splatting on the processor.
 pub struct CpuBackend {
-    capacities: Capacities,
+    pub(super) capacities: Capacities,
     pool: Pool,
     dispatch: Dispatch,
-    anchors: Anchors,
+    pub(super) anchors: Anchors,
     features: Features,
     decoders: Decoders,
+    pub(super) decoder_grads: DecoderGradients,
     placements: Vec<KeyframePlacement>,
-    sky: Sky,
+    pub(super) sky: Sky,
     exposures: Exposures,
     view: ViewBuffers,
-    loss: LossBuffers,
+    pub(super) loss: LossBuffers,
 }
 
 /// Why a backend cannot be made.
@@ -75,6 +79,8 @@ impl CpuBackend {
         let dispatch = Dispatch::new(level).ok_or_else(|| OpenError::Simd { level, best: SimdLevel::best() })?;
         let pool = Pool::new(threads, on_thread_start).map_err(|source| OpenError::Threads { threads, source })?;
         let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
+        let n_gaussians = capacities.anchors * capacities.gaussians_per_anchor;
+        let n_shown = if capacities.learned_decoder { n_gaussians } else { 0 };
         Ok(Self {
             capacities,
             pool,
@@ -82,12 +88,15 @@ impl CpuBackend {
             anchors: Anchors::new(&capacities),
             features: Features::new(&capacities),
             decoders: Decoders::new(&capacities),
+            decoder_grads: DecoderGradients::new(&capacities),
             placements: vec![KeyframePlacement::identity(); capacities.keyframe_rows],
             sky: Sky::new(capacities.chunk_rows),
             exposures: Exposures::new(capacities.exposure_slots),
             view: ViewBuffers {
                 lists: Lists::new(&capacities),
                 keyframes: vec![[0.0; 12]; capacities.keyframe_rows],
+                cameras_in_keyframe_m: vec![[0.0; 3]; capacities.keyframe_rows],
+                shown: vec![FromZeros::new_zeroed(); n_shown],
                 planes: vec![0.0; N_DRAWN * n_pixels],
                 clock: StageClock::new(),
             },
@@ -109,11 +118,14 @@ impl CpuBackend {
     pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; 9] {
         let row = |name, elements, bytes_per_element| MemoryRow { name, elements, bytes_per_element };
         let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
-        let placement_bytes = size_of::<KeyframePlacement>() + size_of::<KeyframeNumbers>();
+        let placement_bytes = size_of::<KeyframePlacement>() + size_of::<KeyframeNumbers>() + size_of::<[f32; 3]>();
         let k = capacities.gaussians_per_anchor;
-        let (feature, decoder) =
-            if capacities.learned_decoder { (FEATURE_BYTES, decoder_row_bytes(k)) } else { (0, 0) };
-        let slot = slot_bytes(k) + size_of::<u32>() + feature;
+        let mut slot = slot_bytes(k) + size_of::<u32>();
+        let mut chunk_row = SKY_ROW_BYTES + SKY_GRADIENT_BYTES;
+        if capacities.learned_decoder {
+            slot += FEATURE_BYTES + k * size_of::<GaussianParams>();
+            chunk_row += decoder_row_bytes(k) + decoder_gradient_bytes(k);
+        }
         [
             row("splat.anchors", capacities.anchors, slot),
             row("splat.visible_gaussians", capacities.visible_gaussians, VISIBLE_BYTES),
@@ -122,19 +134,25 @@ impl CpuBackend {
             row("splat.image_pixels", n_pixels, N_DRAWN * size_of::<f32>()),
             row("splat.training_pixels", capacities.training_pixels, TRAINING_PIXEL_BYTES),
             row("splat.keyframe_rows", capacities.keyframe_rows, placement_bytes),
-            row("splat.chunk_rows", capacities.chunk_rows, SKY_ROW_BYTES + SKY_GRADIENT_BYTES + decoder),
+            row("splat.chunk_rows", capacities.chunk_rows, chunk_row),
             row("splat.exposure_slots", capacities.exposure_slots, EXPOSURE_BYTES),
         ]
     }
 
-    fn draw(&mut self, view: &View) -> Drawn {
+    pub(super) fn draw(&mut self, view: &View) -> Drawn {
         let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
-        let texels = self.sky.row(view.chunk_row).unwrap_or_default();
-        self.view.draw(machine, &self.anchors, &self.placements, texels, view)
+        let map = Map {
+            anchors: &self.anchors,
+            features: &self.features,
+            decoders: &self.decoders,
+            placements: &self.placements,
+            texels: self.sky.row(view.chunk_row).unwrap_or_default(),
+        };
+        self.view.draw(machine, &map, view)
     }
 
     /// Backward pass and step; returns the sum of the visible Gaussians' anisotropies.
-    fn learn(&mut self, drawn: &Drawn, rule: &UpdateRule, collected: Option<&mut [[f32; N_PARAMS]]>) -> f64 {
+    pub(super) fn learn(&mut self, drawn: &Drawn, rule: &LearnRule, collected: Collected<'_>) -> f64 {
         let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
         let n_pixels = drawn.grid.n_pixels();
         let upstream = self.loss.gradients(n_pixels);
@@ -143,19 +161,44 @@ impl CpuBackend {
         let grad_rgb = [upstream[0], upstream[1], upstream[2]];
         self.sky.gradients(&self.pool, self.dispatch, &drawn.rays, &drawn.grid, transmittance, grad_rgb);
         self.view.clock.finish("sky");
-        let view = CameraView { keyframes: &self.view.keyframes, camera: drawn.camera, grid: drawn.grid };
-        let target = (&mut self.anchors, collected);
-        let anisotropy = update(machine, view, drawn.n_candidates, rule, target, &self.view.lists);
+        let ViewBuffers { lists, keyframes, shown, .. } = &mut self.view;
+        let view = CameraView { keyframes, camera: drawn.camera, grid: drawn.grid };
+        let shown = self.decoders.is_learned().then_some(shown.as_mut_slice());
+        let target = UpdateTarget { anchors: &mut self.anchors, shown, collected: collected.params };
+        let anisotropy = update(machine, view, drawn.n_candidates, &rule.update, target, lists);
         self.view.clock.finish("update");
+        self.learn_decoder(&rule.decoder, collected.features);
         anisotropy
     }
 
+    /// From the gradients that `update` left in the place of what was drawn to features and decoder.
+    fn learn_decoder(&mut self, rule: &DecoderRule, collected: Option<&mut [AnchorFeature]>) {
+        let only_collects = collected.is_some();
+        if !self.decoders.is_learned() || (rule.is_frozen() && !only_collects) {
+            return;
+        }
+        let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
+        let seen = SeenAnchors {
+            fixed: self.anchors.fixed(),
+            decoders: &self.decoders,
+            keyframes: &self.view.keyframes,
+            cameras_in_keyframe_m: &self.view.cameras_in_keyframe_m,
+        };
+        let visible = &self.view.lists.visible_bits[..self.anchors.slots_end];
+        let grads = ShownGradients { visible, grads: &self.view.shown };
+        self.decoder_grads.find(machine, seen, rule, grads, self.features.storage(collected));
+        if !only_collects {
+            self.decoders.step(rule, self.decoder_grads.total());
+        }
+        self.view.clock.finish("decode_backward");
+    }
+
     /// Everything of a training step but the steps of background and exposure.
-    fn pass(
+    pub(super) fn pass(
         &mut self,
         training: &TrainingView<'_>,
         settings: &StepSettings,
-        collected: Option<&mut [[f32; N_PARAMS]]>,
+        collected: Collected<'_>,
     ) -> Pass {
         let drawn = self.draw(&training.view);
         let input = LossInput {
@@ -169,61 +212,38 @@ impl CpuBackend {
         let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
         self.view.clock.finish("loss");
         let n_visible = drawn.n_splats.max(1) as f32;
-        let rule = UpdateRule {
-            rates: rates_per_number(&settings.rates, settings.progress),
-            isotropy_weight: settings.weights.isotropy / n_visible,
+        let rule = LearnRule {
+            update: UpdateRule {
+                rates: rates_per_number(&settings.rates, settings.progress),
+                isotropy_weight: settings.weights.isotropy / n_visible,
+            },
+            decoder: DecoderRule::at(&settings.rates.decoder, settings.decoder_row, settings.progress),
         };
         loss.isotropy = self.learn(&drawn, &rule, collected) as f32 / n_visible;
         loss.total += settings.weights.isotropy * loss.isotropy;
         Pass { report: StepReport { loss, stats: drawn.stats }, exposure_gradient }
     }
-
-    /// Loss of a training view and its gradients with respect to every Gaussian's trained numbers (`slot * k + i`; 0
-    /// where nothing is visible) and to the background's texels. For tests and for the conformance of other backends;
-    /// trains nothing. `None` when a length or the view does not fit.
-    pub fn training_gradients(
-        &mut self,
-        training: &TrainingView<'_>,
-        settings: &StepSettings,
-        params: &mut [[f32; N_PARAMS]],
-    ) -> Option<(StepReport, &[[f32; 3]])> {
-        if !self.capacities.fits_training(training) || params.len() != self.anchors.params.len() {
-            return None;
-        }
-        params.fill([0.0; N_PARAMS]);
-        let report = self.pass(training, settings, Some(params)).report;
-        Some((report, self.sky.last_gradients()))
-    }
-
-    /// Gradients of `sum(rgb * upstream_rgb) + sum(depth * upstream_depth) + sum(transmittance *
-    /// upstream_transmittance)` with respect to every Gaussian's trained numbers (`slot * k + i`; 0 where nothing is
-    /// visible) and to the background's texels. For tests and for the conformance of other backends; trains nothing.
-    ///
-    /// The planes are red, green, blue, depth, transmittance. `None` when a length or the view does not fit.
-    pub fn gradients(
-        &mut self,
-        view: &View,
-        upstream: [&[f32]; 5],
-        params: &mut [[f32; N_PARAMS]],
-    ) -> Option<&[[f32; 3]]> {
-        let n_pixels = view.n_pixels();
-        let fits = self.capacities.fits(view) && n_pixels <= self.capacities.training_pixels;
-        if !fits || upstream.iter().any(|p| p.len() != n_pixels) || params.len() != self.anchors.params.len() {
-            return None;
-        }
-        let drawn = self.draw(view);
-        self.loss.set_gradients(upstream);
-        params.fill([0.0; N_PARAMS]);
-        let rule = UpdateRule { rates: [0.0; N_PARAMS], isotropy_weight: 0.0 };
-        self.learn(&drawn, &rule, Some(params));
-        Some(self.sky.last_gradients())
-    }
 }
 
 /// What one pass over a training view found.
-struct Pass {
-    report: StepReport,
+pub(super) struct Pass {
+    pub(super) report: StepReport,
     exposure_gradient: ExposureGradient,
+}
+
+/// How everything steps that is not of the view itself.
+pub(super) struct LearnRule {
+    pub(super) update: UpdateRule,
+    pub(super) decoder: DecoderRule,
+}
+
+/// Where gradients go instead of a step being taken.
+#[derive(Default)]
+pub(super) struct Collected<'a> {
+    /// One element per Gaussian of every slot.
+    pub(super) params: Option<&'a mut [[f32; N_PARAMS]]>,
+    /// One element per slot.
+    pub(super) features: Option<&'a mut [AnchorFeature]>,
 }
 
 fn refused_step() -> StepReport {
@@ -270,7 +290,7 @@ impl SplatBackend for CpuBackend {
 
     fn read_features(&self, slots: &[u32], features: &mut [AnchorFeature]) -> usize {
         let read = slots.iter().zip(features).filter_map(|(&slot, feature)| {
-            *feature = *self.features.read(slot)?;
+            *feature = *self.features.values().get(slot as usize)?;
             Some(())
         });
         slots.len() - read.count()
@@ -306,9 +326,9 @@ impl SplatBackend for CpuBackend {
     }
 
     fn read_decoder(&self, chunk_row: u16, weights: &mut [f32]) -> bool {
-        match self.decoders.row(chunk_row).filter(|decoder| decoder.weights.len() == weights.len()) {
+        match self.decoders.row(chunk_row).filter(|decoder| decoder.weights().len() == weights.len()) {
             Some(decoder) => {
-                weights.copy_from_slice(&decoder.weights);
+                weights.copy_from_slice(decoder.weights());
                 true
             }
             None => false,
@@ -343,7 +363,7 @@ impl SplatBackend for CpuBackend {
         if !self.capacities.fits_training(training) {
             return refused_step();
         }
-        let mut pass = self.pass(training, settings, None);
+        let mut pass = self.pass(training, settings, Collected::default());
         let progress = settings.progress;
         self.sky.step(training.view.chunk_row, settings.rates.background.at(progress));
         if let Some(slot) = training.exposure_slot {

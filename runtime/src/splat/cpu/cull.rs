@@ -1,6 +1,6 @@
 //! Which Gaussians may be in view: a test that is cheap and never wrong in the negative.
 
-use super::anchors::Anchors;
+use super::anchors::FixedNumbers;
 use super::project::{CameraConstants, NEAR_PLANE_M, SCREEN_DILATION_PX2};
 use super::splats::{Lists, MAX_JOBS, piece_len, take_front};
 use crate::pool::Pool;
@@ -31,30 +31,43 @@ pub fn place_keyframes(view: &View, placements: &[KeyframePlacement], out: &mut 
     }
 }
 
+/// The Gaussians as they are drawn.
+#[derive(Clone, Copy)]
+pub struct ShownGaussians<'a> {
+    /// What their anchors contribute.
+    pub fixed: FixedNumbers<'a>,
+    /// `k` per slot.
+    pub params: &'a [GaussianParams],
+    /// Slots below this number may be in use.
+    pub slots_end: usize,
+    /// Only slots whose word in [`Lists::visible_bits`] is not 0 have numbers.
+    pub only_marked: bool,
+}
+
 /// Lists the candidates in ascending order; returns how many there are and how many did not fit.
 pub fn cull(
     pool: &Pool,
-    anchors: &Anchors,
+    gaussians: &ShownGaussians<'_>,
     keyframes: &[KeyframeNumbers],
     frustum: &Frustum,
     lists: &mut Lists,
 ) -> (usize, usize) {
-    let len = piece_len(anchors.slots_end);
+    let len = piece_len(gaussians.slots_end);
     let mut jobs = heapless::Vec::<CullJob<'_>, MAX_JOBS>::new();
-    for (i, bits) in lists.visible_bits[..anchors.slots_end].chunks_mut(len).enumerate() {
+    for (i, bits) in lists.visible_bits[..gaussians.slots_end].chunks_mut(len).enumerate() {
         let job = CullJob { first_slot: i * len, bits, n_visible: 0, out: &mut [] };
         if jobs.push(job).is_err() {
             unreachable!("piece_len makes at most MAX_JOBS pieces");
         }
     }
-    pool.for_each(&mut jobs, |_, job| job.test(anchors, keyframes, frustum));
+    pool.for_each(&mut jobs, |_, job| job.test(gaussians, keyframes, frustum));
     let needed: usize = jobs.iter().map(|job| job.n_visible).sum();
     let kept = needed.min(lists.candidates.len());
     let mut rest = &mut lists.candidates[..kept];
     for job in &mut jobs {
         job.out = take_front(&mut rest, job.n_visible);
     }
-    pool.for_each(&mut jobs, |_, job| job.list(anchors.k));
+    pool.for_each(&mut jobs, |_, job| job.list(gaussians.fixed.k));
     (kept, needed - kept)
 }
 
@@ -82,6 +95,28 @@ impl Frustum {
             size_px: [view.camera.width as f32, view.camera.height as f32],
             stretch_px: [stretch(0), stretch(1)],
         }
+    }
+
+    /// Whether anything within `radius_m()` of a point may meet the picture.
+    #[inline(always)]
+    pub fn may_reach(&self, in_camera: [f32; 3], radius_m: impl FnOnce() -> f32) -> bool {
+        let [x, y, z] = in_camera;
+        if !(x + y + z).is_finite() {
+            return false;
+        }
+        let beyond = [0, 1].map(|i| {
+            let pixel = self.focal_px[i] * [x, y][i] / z + self.center_px[i];
+            (-pixel).max(pixel - self.size_px[i])
+        });
+        if z >= NEAR_PLANE_M && beyond[0] < 0.0 && beyond[1] < 0.0 {
+            return true;
+        }
+        let radius_m = radius_m();
+        if z <= radius_m {
+            return z + radius_m >= NEAR_PLANE_M;
+        }
+        let dilation_px = MAX_SIGMAS * SCREEN_DILATION_PX2.sqrt() as f32;
+        [0, 1].into_iter().all(|i| beyond[i] <= self.stretch_px[i] * radius_m / z + dilation_px + 1.0)
     }
 
     /// Whether the splat of a Gaussian with standard deviations of at most `max_sigma_m()` may meet the picture.
@@ -114,10 +149,12 @@ struct CullJob<'a> {
 }
 
 impl CullJob<'_> {
-    fn test(&mut self, anchors: &Anchors, keyframes: &[KeyframeNumbers], frustum: &Frustum) {
+    fn test(&mut self, gaussians: &ShownGaussians<'_>, keyframes: &[KeyframeNumbers], frustum: &Frustum) {
         let mut n_visible = 0;
         for (i, bits) in self.bits.iter_mut().enumerate() {
-            *bits = slot_bits(anchors, self.first_slot + i, keyframes, frustum);
+            if *bits != 0 || !gaussians.only_marked {
+                *bits = slot_bits(gaussians, self.first_slot + i, keyframes, frustum);
+            }
             n_visible += bits.count_ones() as usize;
         }
         self.n_visible = n_visible;
@@ -125,10 +162,14 @@ impl CullJob<'_> {
 
     fn list(&mut self, k: usize) {
         let mut out = self.out.iter_mut();
-        for (i, &slot_bits) in self.bits.iter().enumerate() {
-            let mut bits = slot_bits;
+        for (i, slot_bits) in self.bits.iter_mut().enumerate() {
+            let mut bits = *slot_bits;
             while bits != 0 {
-                let Some(candidate) = out.next() else { return };
+                let Some(candidate) = out.next() else {
+                    // What did not fit is not visible.
+                    *slot_bits &= !bits;
+                    break;
+                };
                 *candidate = ((self.first_slot + i) * k) as u32 + bits.trailing_zeros();
                 bits &= bits - 1;
             }
@@ -136,7 +177,8 @@ impl CullJob<'_> {
     }
 }
 
-fn slot_bits(anchors: &Anchors, slot: usize, keyframes: &[KeyframeNumbers], frustum: &Frustum) -> u32 {
+fn slot_bits(gaussians: &ShownGaussians<'_>, slot: usize, keyframes: &[KeyframeNumbers], frustum: &Frustum) -> u32 {
+    let anchors = &gaussians.fixed;
     let header = &anchors.headers[slot];
     let n_gaussians = usize::from(header.n_gaussians);
     if n_gaussians == 0 {
@@ -151,7 +193,7 @@ fn slot_bits(anchors: &Anchors, slot: usize, keyframes: &[KeyframeNumbers], frus
         return 0;
     }
     let mut bits = 0;
-    for (i, gaussian) in anchors.params[slot * anchors.k..].iter().take(n_gaussians).enumerate() {
+    for (i, gaussian) in gaussians.params[slot * anchors.k..].iter().take(n_gaussians).enumerate() {
         let mean = [0, 1, 2].map(|a| header.position_in_keyframe_m[a] + gaussian.offset[a] * extent_m[a]);
         let in_camera =
             [0, 1, 2].map(|r| m[r * 3] * mean[0] + m[r * 3 + 1] * mean[1] + m[r * 3 + 2] * mean[2] + m[9 + r]);
@@ -171,7 +213,9 @@ pub fn band_opacity_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNum
     lod::band_opacity(header.level, distance2_m2.sqrt())
 }
 
-fn largest_scale(gaussian: &GaussianParams) -> f32 {
+/// Largest of its scales, in units of the anchor's extent.
+#[inline(always)]
+pub fn largest_scale(gaussian: &GaussianParams) -> f32 {
     let [x, y, z] = gaussian.log_scale;
     x.max(y).max(z).exp()
 }

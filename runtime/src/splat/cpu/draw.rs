@@ -4,7 +4,10 @@ use super::anchors::Anchors;
 use super::bin::list_entries;
 use super::blend::{Blend, BlendJob};
 use super::blend_backward::{BlendBackward, BlendBackwardJob};
-use super::cull::{Frustum, KeyframeNumbers, cull, place_keyframes};
+use super::cull::{Frustum, KeyframeNumbers, ShownGaussians, cull, place_keyframes};
+use super::decode_anchors::{SeenAnchors, decode_anchors, place_camera};
+use super::decoders::Decoders;
+use super::features::Features;
 use super::grid::{Grid, MAX_TILE_ROWS};
 use super::loss::N_DRAWN;
 use super::project::CameraConstants;
@@ -15,7 +18,7 @@ use super::sort::sort;
 use super::splats::{Lists, take_front};
 use super::splatting::{CameraView, make_splats};
 use crate::pool::Pool;
-use crate::splat::{KeyframePlacement, Overflow, RenderStats, StageClock, View};
+use crate::splat::{GaussianParams, KeyframePlacement, Overflow, RenderStats, StageClock, View};
 
 /// What every stage runs on.
 #[derive(Clone, Copy)]
@@ -32,10 +35,29 @@ pub struct ViewBuffers {
     pub lists: Lists,
     /// Camera from each keyframe row.
     pub keyframes: Vec<KeyframeNumbers>,
+    /// Where the camera is in the frame of each keyframe row, m.
+    pub cameras_in_keyframe_m: Vec<[f32; 3]>,
+    /// Every anchor's Gaussians as they are drawn, then their gradients; empty when they are drawn as stored.
+    pub shown: Vec<GaussianParams>,
     /// Red, green, blue, depth, transmittance of the largest picture.
     pub planes: Vec<f32>,
     /// Time of the stages.
     pub clock: StageClock,
+}
+
+/// What is drawn.
+#[derive(Clone, Copy)]
+pub struct Map<'a> {
+    /// Stored numbers.
+    pub anchors: &'a Anchors,
+    /// Their features, where the decoder is learned.
+    pub features: &'a Features,
+    /// The chunks' decoders, where they are learned.
+    pub decoders: &'a Decoders,
+    /// Map from each keyframe row.
+    pub placements: &'a [KeyframePlacement],
+    /// Background of the view's chunk.
+    pub texels: &'a [[f32; 3]],
 }
 
 /// What the backward pass must know of the forward pass.
@@ -62,31 +84,30 @@ impl ViewBuffers {
     }
 
     /// Draws a view into the planes.
-    pub fn draw(
-        &mut self,
-        machine: Machine<'_>,
-        anchors: &Anchors,
-        placements: &[KeyframePlacement],
-        texels: &[[f32; 3]],
-        view: &View,
-    ) -> Drawn {
+    pub fn draw(&mut self, machine: Machine<'_>, map: &Map<'_>, view: &View) -> Drawn {
         let Machine { pool, dispatch } = machine;
         self.clock.restart();
         let grid = Grid::new(view.camera.width as usize, view.camera.height as usize);
         let camera = CameraConstants::of(view);
         let rays = Rays::of(view);
-        place_keyframes(view, placements, &mut self.keyframes);
-        let lists = &mut self.lists;
-        let (n_candidates, invisible) = cull(pool, anchors, &self.keyframes, &Frustum::of(view), lists);
+        let frustum = Frustum::of(view);
+        place_keyframes(view, map.placements, &mut self.keyframes);
+        self.decode(machine, map, view, &frustum);
+        let Self { lists, keyframes, .. } = self;
+        let anchors = map.anchors;
+        let only_marked = map.decoders.is_learned();
+        let params = if only_marked { &self.shown } else { &anchors.params };
+        let shown = ShownGaussians { fixed: anchors.fixed(), params, slots_end: anchors.slots_end, only_marked };
+        let (n_candidates, invisible) = cull(pool, &shown, keyframes, &frustum, lists);
         self.clock.finish("cull");
-        let camera_view = CameraView { keyframes: &self.keyframes, camera, grid };
-        make_splats(pool, dispatch, anchors, camera_view, n_candidates, lists);
+        let camera_view = CameraView { keyframes, camera, grid };
+        make_splats(pool, dispatch, &shown, camera_view, n_candidates, lists);
         self.clock.finish("project");
         let n_splats = sort(pool, n_candidates, lists);
         self.clock.finish("sort");
         let counts = list_entries(pool, dispatch, &grid, n_splats, lists);
         self.clock.finish("bin");
-        let pairs = blend(machine, &grid, &rays, texels, n_splats, lists, &mut self.planes);
+        let pairs = blend(machine, &grid, &rays, map.texels, n_splats, lists, &mut self.planes);
         self.clock.finish("blend");
         let overflow = Overflow {
             visible_gaussians: invisible as u32,
@@ -101,6 +122,24 @@ impl ViewBuffers {
             refused: false,
         };
         Drawn { grid, camera, rays, n_candidates, n_splats, stats }
+    }
+
+    /// Fills `shown` where the decoder is learned.
+    fn decode(&mut self, machine: Machine<'_>, map: &Map<'_>, view: &View, frustum: &Frustum) {
+        if !map.decoders.is_learned() {
+            return;
+        }
+        place_camera(view, map.placements, &mut self.cameras_in_keyframe_m);
+        let seen = SeenAnchors {
+            fixed: map.anchors.fixed(),
+            decoders: map.decoders,
+            keyframes: &self.keyframes,
+            cameras_in_keyframe_m: &self.cameras_in_keyframe_m,
+        };
+        let stored = (map.anchors.params.as_slice(), map.features.values());
+        let marks = &mut self.lists.visible_bits[..map.anchors.slots_end];
+        decode_anchors(machine, seen, stored, frustum, marks, &mut self.shown);
+        self.clock.finish("decode");
     }
 
     /// Gradients of the splats, from those with respect to the planes.

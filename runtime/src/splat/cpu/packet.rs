@@ -85,6 +85,16 @@ impl Packet {
         }
     }
 
+    /// Fetches only the trained numbers.
+    #[inline(always)]
+    pub fn gather_params(&mut self, params: &[[f32; N_PARAMS]], ids: &[u32], first_id: usize) {
+        for (lane, &id) in ids.iter().take(PACKET).enumerate() {
+            for (row, &value) in self.params.iter_mut().zip(&params[id as usize - first_id]) {
+                row.0[lane] = value;
+            }
+        }
+    }
+
     /// The lanes from `first` on.
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, first: usize) -> PacketLanes<S> {
@@ -115,4 +125,19 @@ pub fn as_arrays(params: &[crate::splat::GaussianParams]) -> &[[f32; N_PARAMS]] 
 /// The Gaussians' numbers as arrays.
 pub fn as_arrays_mut(params: &mut [crate::splat::GaussianParams]) -> &mut [[f32; N_PARAMS]] {
     zerocopy::FromBytes::mut_from_bytes(params.as_mut_bytes()).unwrap_or_default()
+}
+
+/// The Gaussians' numbers one after the other.
+pub fn as_numbers(params: &[crate::splat::GaussianParams]) -> &[f32] {
+    as_arrays(params).as_flattened()
+}
+
+/// The Gaussians' numbers one after the other.
+pub fn as_numbers_mut(params: &mut [crate::splat::GaussianParams]) -> &mut [f32] {
+    as_arrays_mut(params).as_flattened_mut()
+}
+
+/// The Gaussians of numbers that follow one another.
+pub fn as_gaussians(numbers: &[f32]) -> &[crate::splat::GaussianParams] {
+    zerocopy::FromBytes::ref_from_bytes(numbers.as_bytes()).unwrap_or(&[])
 }

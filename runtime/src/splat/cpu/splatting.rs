@@ -1,7 +1,6 @@
 //! Candidates become splats: decoding, projection, and which pixel rows each one reaches.
 
-use super::anchors::Anchors;
-use super::cull::{KeyframeNumbers, band_opacity_of};
+use super::cull::{KeyframeNumbers, ShownGaussians, band_opacity_of};
 use super::decode::decode;
 use super::grid::{Grid, MAX_TILE_ROWS, TILE_PX};
 use super::lane::{Lane, each};
@@ -31,7 +30,7 @@ pub const NOT_VISIBLE: u64 = u64::MAX;
 pub fn make_splats(
     pool: &Pool,
     dispatch: Dispatch,
-    anchors: &Anchors,
+    gaussians: &ShownGaussians<'_>,
     view: CameraView<'_>,
     n_candidates: usize,
     lists: &mut Lists,
@@ -43,7 +42,7 @@ pub fn make_splats(
     let mut jobs = heapless::Vec::<SplatJob<'_>, MAX_JOBS>::new();
     for (i, candidates) in lists.candidates[..n_candidates].chunks(len).enumerate() {
         let job = SplatJob {
-            anchors,
+            gaussians,
             view,
             first: i * len,
             candidates,
@@ -61,7 +60,7 @@ pub fn make_splats(
 }
 
 struct SplatJob<'a> {
-    anchors: &'a Anchors,
+    gaussians: &'a ShownGaussians<'a>,
     view: CameraView<'a>,
     first: usize,
     candidates: &'a [u32],
@@ -78,8 +77,8 @@ impl WithSimd for RunSplatJob<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let job = self.0;
         job.row_counts.fill(0);
-        let (view, fixed) = (job.view, job.anchors.fixed());
-        let params = as_arrays(&job.anchors.params);
+        let (view, fixed) = (job.view, job.gaussians.fixed);
+        let params = as_arrays(job.gaussians.params);
         let mut packet = Packet::new();
         let mut out = ProjectedRows::new();
         let outputs = job.splats.chunks_mut(PACKET).zip(job.keys.chunks_mut(PACKET));

@@ -11,6 +11,7 @@ use super::packet::{PACKET, Packet, PacketLanes, Row, ZERO_ROW, as_arrays_mut};
 use super::project::{Projected, SplatGradient, project, project_backward};
 use super::splats::{GRAD_COLOR, GRAD_DEPTH, Lists, MAX_JOBS, N_SPLAT_GRADS, piece_len, take_front};
 use super::splatting::CameraView;
+use crate::splat::GaussianParams;
 use pulp::{Simd, WithSimd};
 
 /// How the optimizer steps.
@@ -22,18 +23,28 @@ pub struct UpdateRule {
     pub isotropy_weight: f32,
 }
 
-/// Takes a step with every visible Gaussian, or (when `collected` is given, with as many elements as there are
-/// Gaussians) only writes the gradients there. Returns the sum of the Gaussians' anisotropies.
+/// What one pass reads and writes.
+pub struct UpdateTarget<'a> {
+    /// Stored numbers, which take a step.
+    pub anchors: &'a mut Anchors,
+    /// Numbers as they were drawn, when that is not as stored; the gradients of all candidates take their place.
+    pub shown: Option<&'a mut [GaussianParams]>,
+    /// Where gradients go instead of a step being taken; as many elements as there are Gaussians.
+    pub collected: Option<&'a mut [[f32; N_PARAMS]]>,
+}
+
+/// Takes a step with every visible Gaussian, or only writes the gradients. Returns the sum of the Gaussians' anisotropies.
 pub fn update(
     machine: Machine<'_>,
     view: CameraView<'_>,
     n_candidates: usize,
     rule: &UpdateRule,
-    (anchors, collected): (&mut Anchors, Option<&mut [[f32; N_PARAMS]]>),
+    target: UpdateTarget<'_>,
     lists: &Lists,
 ) -> f64 {
-    let (fixed, params, moments, steps) = anchors.split();
-    let mut storage = Storage { params: as_arrays_mut(params), moments, steps, collected };
+    let (fixed, params, moments, steps) = target.anchors.split();
+    let shown = target.shown.map(as_arrays_mut);
+    let mut storage = Storage { params: as_arrays_mut(params), shown, moments, steps, collected: target.collected };
     let candidates = &lists.candidates[..n_candidates];
     let n_gaussians = storage.params.len();
     let len = piece_len(n_candidates);
@@ -66,6 +77,7 @@ fn end_of_slot(candidates: &[u32], at: usize, k: usize) -> usize {
 
 struct Storage<'a> {
     params: &'a mut [[f32; N_PARAMS]],
+    shown: Option<&'a mut [[f32; N_PARAMS]]>,
     moments: &'a mut [Moments],
     steps: &'a mut [u16],
     collected: Option<&'a mut [[f32; N_PARAMS]]>,
@@ -75,6 +87,7 @@ impl<'a> Storage<'a> {
     fn take_front(&mut self, n: usize) -> Self {
         Storage {
             params: take_front(&mut self.params, n),
+            shown: self.shown.as_mut().map(|rest| take_front(rest, n)),
             moments: take_front(&mut self.moments, n),
             steps: take_front(&mut self.steps, n),
             collected: self.collected.as_mut().map(|rest| take_front(rest, n)),
@@ -111,6 +124,8 @@ impl WithSimd for RunUpdateJob<'_, '_> {
                 ids[n] = job.lists.candidates[i];
                 work.set_splat_gradient(n, &job.lists.splat_grads[rank as usize]);
                 n += 1;
+            } else if let Some(shown) = &mut job.storage.shown {
+                shown[job.lists.candidates[i] as usize - job.first_id] = [0.0; N_PARAMS];
             }
             if n == PACKET || (i + 1 == job.end && n > 0) {
                 job.run_packet(simd, &ids[..n], &mut work);
@@ -123,7 +138,8 @@ impl WithSimd for RunUpdateJob<'_, '_> {
 impl UpdateJob<'_> {
     #[inline(always)]
     fn run_packet<S: Simd>(&mut self, simd: S, ids: &[u32], work: &mut Work) {
-        work.packet.gather(&self.fixed, self.storage.params, self.view.keyframes, ids, self.first_id);
+        let drawn = self.storage.shown.as_deref().unwrap_or(self.storage.params);
+        work.packet.gather(&self.fixed, drawn, self.view.keyframes, ids, self.first_id);
         for first in (0..PACKET).step_by(S::F32_LANES) {
             let lanes = work.packet.lanes(simd, first);
             let gradient = work.gradient(simd, first, &lanes, self);
@@ -132,6 +148,12 @@ impl UpdateJob<'_> {
             }
         }
         self.anisotropy += work.anisotropy.0[..ids.len()].iter().map(|&v| f64::from(v)).sum::<f64>();
+        if let Some(shown) = &mut self.storage.shown {
+            for (lane, &id) in ids.iter().enumerate() {
+                shown[id as usize - self.first_id] = core::array::from_fn(|i| work.param_grads[i].0[lane]);
+            }
+            work.packet.gather_params(self.storage.params, ids, self.first_id);
+        }
         if let Some(collected) = &mut self.storage.collected {
             for (lane, &id) in ids.iter().enumerate() {
                 collected[id as usize - self.first_id] = core::array::from_fn(|i| work.param_grads[i].0[lane]);

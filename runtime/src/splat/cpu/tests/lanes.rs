@@ -7,6 +7,8 @@ use crate::splat::cpu::project::{
 };
 use crate::splat::cpu::simd::{Dispatch, SimdLevel};
 use crate::splat::cpu::update::anisotropy;
+use kilogs_core::map::DecoderShape;
+use kilogs_core::map::decoder::{HIDDEN, INPUTS, decode_residual, decode_residual_backward};
 use kilogs_core::math::rng::Rng;
 use pulp::{Simd, WithSimd};
 
@@ -89,11 +91,11 @@ impl Case {
             + p.depth_m * u.depth
     }
 
-    fn gradient(&self) -> [f64; N_PARAMS] {
-        let g = self.decoded(&self.params);
+    fn gradient(&self, params: &[f64; N_PARAMS]) -> [f64; N_PARAMS] {
+        let g = self.decoded(params);
         let p = project(&CAMERA, &self.placement, &g);
         let grad = project_backward(&CAMERA, &self.placement, &g, &p, &self.upstream);
-        decode_backward(&self.anchor, &self.params, &g, &grad)
+        decode_backward(&self.anchor, params, &g, &grad)
     }
 }
 
@@ -102,7 +104,7 @@ fn decoding_and_projection_agree_with_differences() {
     const STEP: f64 = 1e-6;
     for (seed, beyond) in (0..20).map(|seed| (seed, seed % 4 == 0)) {
         let case = case(seed, beyond);
-        let gradient = case.gradient();
+        let gradient = case.gradient(&case.params);
         let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         for i in 0..N_PARAMS {
             let moved = |step: f64| {
@@ -113,6 +115,81 @@ fn decoding_and_projection_agree_with_differences() {
             let difference = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
             let error = (difference - gradient[i]).abs() / norm;
             assert!(error < 1e-7, "seed {seed}, number {i}: {} by differences {difference}", gradient[i]);
+        }
+    }
+}
+
+/// Gaussians per anchor of the chain below.
+const K: usize = 2;
+const SHAPE: DecoderShape = DecoderShape::new(K);
+
+/// An anchor on its way through decoder, decoding and projection.
+struct Chain {
+    gaussians: [Case; K],
+    weights: Vec<f64>,
+    inputs: [f64; INPUTS],
+}
+
+impl Chain {
+    fn new(seed: u64) -> Self {
+        let mut rng = Rng::new(seed, 0, 1);
+        let mut random = |spread: f64| spread * (2.0 * rng.unit_f64() - 1.0);
+        Self {
+            gaussians: core::array::from_fn(|i| case(seed + i as u64, false)),
+            weights: (0..SHAPE.len()).map(|_| random(0.2)).collect(),
+            inputs: [0; INPUTS].map(|_| random(1.0)),
+        }
+    }
+
+    fn hidden_and_drawn(&self) -> ([f64; HIDDEN], [[f64; N_PARAMS]; K]) {
+        let (mut hidden, mut residual) = ([0.0; HIDDEN], [[0.0; N_PARAMS]; K]);
+        decode_residual(SHAPE, &self.weights, &self.inputs, &mut hidden, residual.as_flattened_mut());
+        (hidden, core::array::from_fn(|g| core::array::from_fn(|i| self.gaussians[g].params[i] + residual[g][i])))
+    }
+
+    fn value(&self) -> f64 {
+        let (_, drawn) = self.hidden_and_drawn();
+        self.gaussians.iter().zip(&drawn).map(|(gaussian, params)| gaussian.value(params)).sum()
+    }
+
+    /// Of the stored numbers, the decoder and its inputs.
+    fn gradients(&self) -> ([[f64; N_PARAMS]; K], Vec<f64>, [f64; INPUTS]) {
+        let (hidden, drawn) = self.hidden_and_drawn();
+        let params: [[f64; N_PARAMS]; K] = core::array::from_fn(|g| self.gaussians[g].gradient(&drawn[g]));
+        let (mut weights, mut inputs) = (vec![0.0; SHAPE.len()], [0.0; INPUTS]);
+        let forward = (&self.inputs, &hidden);
+        let upstream = params.as_flattened();
+        decode_residual_backward(SHAPE, &self.weights, forward, upstream, &mut weights, &mut inputs);
+        (params, weights, inputs)
+    }
+
+    /// Every number that is trained, or an input of the decoder, in turn.
+    fn number(&mut self, i: usize) -> &mut f64 {
+        let Self { gaussians, weights, inputs } = self;
+        let params = gaussians.iter_mut().flat_map(|gaussian| &mut gaussian.params);
+        params.chain(weights).chain(inputs).nth(i).expect("a number")
+    }
+}
+
+#[test]
+fn the_whole_chain_with_the_decoder_agrees_with_differences() {
+    const STEP: f64 = 1e-6;
+    for seed in 0..3 {
+        let mut chain = Chain::new(seed);
+        let (params, weights, inputs) = chain.gradients();
+        let gradient: Vec<f64> = params.as_flattened().iter().chain(&weights).chain(&inputs).copied().collect();
+        let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        for (i, &got) in gradient.iter().enumerate() {
+            let mut moved = |step: f64| {
+                let old = *chain.number(i);
+                *chain.number(i) = old + step;
+                let value = chain.value();
+                *chain.number(i) = old;
+                value
+            };
+            let difference = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
+            let error = (difference - got).abs() / norm;
+            assert!(error < 1e-7, "seed {seed}, number {i}: {got} by differences {difference}");
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod behavior;
 pub mod compare;
+mod decoder;
 mod differences;
 mod fitting;
 pub mod golden;
