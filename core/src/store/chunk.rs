@@ -28,6 +28,33 @@ pub struct DecoderParams<'a> {
 impl DecoderParams<'_> {
     /// Gaussians are stored as they are: nothing to decode.
     pub const EXPLICIT: Self = Self { kind: 0, bytes: &[] };
+    /// Kind of a decoder in the layout of [`crate::map::decoder`], as `f32`.
+    pub const RESIDUAL_KIND: u32 = 1;
+}
+
+impl<'a> DecoderParams<'a> {
+    /// A decoder in the layout of [`crate::map::decoder`].
+    pub fn residual(weights: &'a [f32]) -> Self {
+        Self { kind: Self::RESIDUAL_KIND, bytes: weights.as_bytes() }
+    }
+
+    /// Whether it adds something to what anchors store.
+    pub fn is_residual(&self) -> bool {
+        self.kind == Self::RESIDUAL_KIND
+    }
+
+    /// Copies a decoder of this length; false, and nothing written, when it is another kind, has another length or a
+    /// number that is not finite.
+    pub fn read_residual(&self, weights: &mut [f32]) -> bool {
+        let (numbers, rest) = self.bytes.as_chunks::<4>();
+        let values = || numbers.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        let fits = self.is_residual() && rest.is_empty() && numbers.len() == weights.len();
+        if !fits || !values().all(f32::is_finite) {
+            return false;
+        }
+        weights.iter_mut().zip(values()).for_each(|(weight, value)| *weight = value);
+        true
+    }
 }
 
 /// Colors of what is infinitely far, by direction: rows of RGB texels in [0, 1].
@@ -182,6 +209,22 @@ mod tests {
             assert_eq!(texels[4], [-1.0; 3]);
             check_every_damage_is_noticed(&memory[..length], |bytes| decode_chunk(bytes).map(|_| ()));
         }
+    }
+
+    #[test]
+    fn a_residual_decoder_comes_back_or_is_refused() {
+        let weights = [0.5, -1.25, 3e-7];
+        let decoder = DecoderParams::residual(&weights);
+        let mut memory = [0; 200];
+        let length = encode_chunk(&LABEL, decoder, ChunkBackground::NONE, &mut memory).expect("it fits");
+        let view = decode_chunk(&memory[..length]).expect("undamaged");
+        let mut read = [9.0; 3];
+        assert!(view.decoder.read_residual(&mut read));
+        assert_eq!(read, weights);
+        assert!(!view.decoder.read_residual(&mut read[..2]), "another length");
+        assert!(!DecoderParams::residual(&[0.0, f32::NAN, 0.0]).read_residual(&mut read), "no number");
+        assert!(!DecoderParams::EXPLICIT.read_residual(&mut []), "another kind");
+        assert_eq!(read, weights);
     }
 
     #[test]

@@ -100,7 +100,7 @@ pub fn decode_keyframe(bytes: &[u8]) -> Result<StoredKeyframe, RecordProblem> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::record::{as_next_version, check_every_damage_is_noticed};
+    use super::super::record::{STORE_VERSION, as_next_version, check_every_damage_is_noticed};
     use super::*;
 
     const KEYFRAME: StoredKeyframe = StoredKeyframe {
@@ -121,7 +121,7 @@ mod tests {
         let bytes = encode_keyframe(&KEYFRAME);
         assert_eq!(decode_keyframe(&bytes), Ok(KEYFRAME));
         check_every_damage_is_noticed(&bytes, |bytes| decode_keyframe(bytes).map(|_| ()));
-        assert_eq!(decode_keyframe(&as_next_version(&bytes)), Err(RecordProblem::Version { found: 2 }));
+        assert_eq!(decode_keyframe(&as_next_version(&bytes)), Err(RecordProblem::Version { found: STORE_VERSION + 1 }));
     }
 
     #[test]

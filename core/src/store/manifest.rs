@@ -133,7 +133,7 @@ fn pixel_format_from_wire(number: u32) -> Option<PixelFormat> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::record::{as_next_version, check_every_damage_is_noticed};
+    use super::super::record::{STORE_VERSION, as_next_version, check_every_damage_is_noticed};
     use super::*;
 
     const MANIFEST: Manifest = Manifest {
@@ -158,7 +158,10 @@ mod tests {
             let bytes = encode_manifest(&manifest);
             assert_eq!(decode_manifest(&bytes), Ok(manifest));
             check_every_damage_is_noticed(&bytes, |bytes| decode_manifest(bytes).map(|_| ()));
-            assert_eq!(decode_manifest(&as_next_version(&bytes)), Err(RecordProblem::Version { found: 2 }));
+            assert_eq!(
+                decode_manifest(&as_next_version(&bytes)),
+                Err(RecordProblem::Version { found: STORE_VERSION + 1 })
+            );
         }
     }
 

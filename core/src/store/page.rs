@@ -1,7 +1,9 @@
 //! A page: the anchors of a few consecutive keyframes with their Gaussians.
 
+use super::feature::StoredFeature;
 use super::record::{self, PREFIX_BYTES, RecordKind, RecordProblem};
-use crate::map::{AnchorHeader, GaussianParams};
+use crate::map::decoder::NO_FEATURE;
+use crate::map::{AnchorFeature, AnchorHeader, GaussianParams};
 use core::fmt;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -41,8 +43,8 @@ pub struct StoredAnchor {
     pub level: u8,
     /// How many Gaussians follow.
     pub n_gaussians: u8,
-    /// Zero.
-    pub reserved: u16,
+    /// What follows before the Gaussians: 0 nothing, 1 a [`StoredFeature`].
+    pub feature_kind: u16,
 }
 const _: () = assert!(size_of::<StoredAnchor>() == 32);
 
@@ -55,7 +57,7 @@ impl StoredAnchor {
             log_extent: anchor.log_extent,
             level: anchor.level,
             n_gaussians: anchor.n_gaussians,
-            reserved: 0,
+            feature_kind: 0,
         }
     }
 
@@ -72,14 +74,17 @@ impl StoredAnchor {
     }
 }
 
+const LABEL_BYTES: usize = PREFIX_BYTES + size_of::<PageLabel>();
+
 /// Bytes of a page file before its body: all that listing pages has to read.
-pub const PAGE_HEADER_BYTES: usize = PREFIX_BYTES + size_of::<PageLabel>();
+pub const PAGE_HEADER_BYTES: usize = BODY_START;
 
-const BODY_START: usize = PAGE_HEADER_BYTES + PREFIX_BYTES;
+const BODY_START: usize = LABEL_BYTES + PREFIX_BYTES;
 
-/// Size of a page file, for buffers and budgets.
-pub const fn page_file_bytes(n_anchors: usize, n_gaussians: usize) -> usize {
-    BODY_START + n_anchors * size_of::<StoredAnchor>() + n_gaussians * size_of::<GaussianParams>()
+/// Largest size of a page file, for buffers and budgets: with a feature for every anchor, or for none.
+pub const fn page_file_bytes(n_anchors: usize, n_gaussians: usize, has_features: bool) -> usize {
+    let feature_bytes = if has_features { size_of::<StoredFeature>() } else { 0 };
+    BODY_START + n_anchors * (size_of::<StoredAnchor>() + feature_bytes) + n_gaussians * size_of::<GaussianParams>()
 }
 
 /// The anchor does not fit into the page any more; the page is unchanged.
@@ -120,21 +125,39 @@ impl<B: AsMut<[u8]> + AsRef<[u8]>> PageEncoder<B> {
         Ok(Self { memory, label: PageLabel { n_anchors: 0, n_gaussians: 0, ..label }, used_bytes: BODY_START })
     }
 
-    /// Appends an anchor and those of `gaussians` that it uses (the first `anchor.n_gaussians`).
+    /// Appends an anchor without a feature and those of `gaussians` that it uses (the first `anchor.n_gaussians`).
     ///
     /// # Errors
     /// [`PageFull`] when it does not fit, or when it has more Gaussians than the label or the slice allows.
     pub fn push(&mut self, anchor: &StoredAnchor, gaussians: &[GaussianParams]) -> Result<(), PageFull> {
+        self.push_with_feature(anchor, &NO_FEATURE, gaussians)
+    }
+
+    /// Appends an anchor with its feature, which takes room only when it is not zero.
+    ///
+    /// # Errors
+    /// Like [`push`](Self::push).
+    pub fn push_with_feature(
+        &mut self,
+        anchor: &StoredAnchor,
+        feature: &AnchorFeature,
+        gaussians: &[GaussianParams],
+    ) -> Result<(), PageFull> {
         let full = PageFull { capacity_bytes: saturate(self.memory.as_ref().len()) };
         if u32::from(anchor.n_gaussians) > self.label.gaussians_per_anchor {
             return Err(full);
         }
         let gaussians = gaussians.get(..usize::from(anchor.n_gaussians)).ok_or(full)?;
-        let middle = self.used_bytes + size_of::<StoredAnchor>();
-        let end = middle + size_of_val(gaussians);
+        let feature = StoredFeature::nearest(feature);
+        let feature_bytes = feature.as_ref().map_or(&[][..], |feature| feature.as_bytes());
+        let anchor = StoredAnchor { feature_kind: u16::from(feature.is_some()), ..*anchor };
+        let feature_start = self.used_bytes + size_of::<StoredAnchor>();
+        let gaussians_start = feature_start + feature_bytes.len();
+        let end = gaussians_start + size_of_val(gaussians);
         let memory = self.memory.as_mut();
-        memory.get_mut(middle..end).ok_or(full)?.copy_from_slice(gaussians.as_bytes());
-        memory.get_mut(self.used_bytes..middle).ok_or(full)?.copy_from_slice(anchor.as_bytes());
+        memory.get_mut(gaussians_start..end).ok_or(full)?.copy_from_slice(gaussians.as_bytes());
+        memory.get_mut(feature_start..gaussians_start).ok_or(full)?.copy_from_slice(feature_bytes);
+        memory.get_mut(self.used_bytes..feature_start).ok_or(full)?.copy_from_slice(anchor.as_bytes());
         self.used_bytes = end;
         self.label.n_anchors += 1;
         self.label.n_gaussians += u32::from(anchor.n_gaussians);
@@ -154,7 +177,7 @@ impl<B: AsMut<[u8]> + AsRef<[u8]>> PageEncoder<B> {
         let full = PageFull { capacity_bytes: saturate(self.memory.as_ref().len()) };
         let memory = self.memory.as_mut();
         record::write(RecordKind::PageLabel, &self.label, memory).ok_or(full)?;
-        let body = memory.get_mut(PAGE_HEADER_BYTES..).ok_or(full)?;
+        let body = memory.get_mut(LABEL_BYTES..).ok_or(full)?;
         record::seal(RecordKind::PageBody, body, self.used_bytes - BODY_START).ok_or(full)?;
         Ok((self.memory, self.used_bytes))
     }
@@ -169,12 +192,27 @@ fn saturate(bytes: usize) -> u32 {
     u32::try_from(bytes).unwrap_or(u32::MAX)
 }
 
-/// Label of the page that begins with `bytes` (at least [`PAGE_HEADER_BYTES`]); says nothing about its body.
+/// Label of the page that begins with `bytes`; says nothing about its body.
 ///
 /// # Errors
 /// [`RecordProblem`] when the label is damaged.
 pub fn decode_page_label(bytes: &[u8]) -> Result<PageLabel, RecordProblem> {
     record::open_as(RecordKind::PageLabel, bytes)
+}
+
+/// Label and length of the page file that begins with `bytes` (at least [`PAGE_HEADER_BYTES`]); its body is not looked
+/// at.
+///
+/// # Errors
+/// [`RecordProblem`] when what stands before the body is damaged.
+pub fn page_length(bytes: &[u8]) -> Result<(PageLabel, usize), RecordProblem> {
+    let label = decode_page_label(bytes)?;
+    let body = bytes.get(LABEL_BYTES..).unwrap_or_default();
+    match record::length(RecordKind::PageBody, body) {
+        Ok(length) => Ok((label, LABEL_BYTES.saturating_add(length))),
+        Err(RecordProblem::Truncated { .. }) => Err(record::truncated(bytes.len(), PAGE_HEADER_BYTES)),
+        Err(problem) => Err(problem),
+    }
 }
 
 /// Verifies a whole page file and reads it anchor by anchor.
@@ -183,10 +221,10 @@ pub fn decode_page_label(bytes: &[u8]) -> Result<PageLabel, RecordProblem> {
 /// [`RecordProblem`] when label or body are damaged or contradict each other; nothing of the page may be used.
 pub fn decode_page(bytes: &[u8]) -> Result<(PageLabel, PageReader<'_>), RecordProblem> {
     let label = decode_page_label(bytes)?;
-    let rest = bytes.get(PAGE_HEADER_BYTES..).unwrap_or_default();
+    let rest = bytes.get(LABEL_BYTES..).unwrap_or_default();
     let body = record::open(RecordKind::PageBody, rest).map_err(|problem| match problem {
         RecordProblem::Truncated { needed, .. } => {
-            record::truncated(bytes.len(), PAGE_HEADER_BYTES.saturating_add(needed as usize))
+            record::truncated(bytes.len(), LABEL_BYTES.saturating_add(needed as usize))
         }
         other => other,
     })?;
@@ -210,6 +248,10 @@ fn check_body(label: &PageLabel, body: &[u8]) -> Result<(), RecordProblem> {
         if !own || count > label.gaussians_per_anchor {
             return Err(wrong);
         }
+        let (feature, after) = read_feature(&anchor, after).ok_or(wrong)?;
+        if feature.is_some_and(|feature| !feature.is_finite()) {
+            return Err(wrong);
+        }
         rest = after.get(count as usize * size_of::<GaussianParams>()..).ok_or(wrong)?;
         n_anchors += 1;
         n_gaussians += count;
@@ -218,6 +260,15 @@ fn check_body(label: &PageLabel, body: &[u8]) -> Result<(), RecordProblem> {
         return Err(RecordProblem::Inconsistent { element: n_anchors });
     }
     Ok(())
+}
+
+/// The feature of an anchor, if it has one, and the bytes behind it; `None` when there cannot be one.
+fn read_feature<'a>(anchor: &StoredAnchor, bytes: &'a [u8]) -> Option<(Option<StoredFeature>, &'a [u8])> {
+    match anchor.feature_kind {
+        0 => Some((None, bytes)),
+        1 => StoredFeature::read_from_prefix(bytes).ok().map(|(feature, rest)| (Some(feature), rest)),
+        _ => None,
+    }
 }
 
 /// The anchors of a verified page, in stored order.
@@ -229,7 +280,13 @@ pub struct PageReader<'a> {
 impl PageReader<'_> {
     /// Next anchor; its Gaussians go to the front of `gaussians`, as many as fit. `None` after the last.
     pub fn next_anchor(&mut self, gaussians: &mut [GaussianParams]) -> Option<StoredAnchor> {
-        let (anchor, mut rest) = StoredAnchor::read_from_prefix(self.body).ok()?;
+        self.next_with_feature(gaussians).map(|(anchor, _)| anchor)
+    }
+
+    /// Like [`next_anchor`](Self::next_anchor), with the anchor's feature; zero for one that has none.
+    pub fn next_with_feature(&mut self, gaussians: &mut [GaussianParams]) -> Option<(StoredAnchor, AnchorFeature)> {
+        let (anchor, rest) = StoredAnchor::read_from_prefix(self.body).ok()?;
+        let (feature, mut rest) = read_feature(&anchor, rest)?;
         for idx in 0..usize::from(anchor.n_gaussians) {
             let (gaussian, after) = GaussianParams::read_from_prefix(rest).ok()?;
             if let Some(place) = gaussians.get_mut(idx) {
@@ -238,117 +295,9 @@ impl PageReader<'_> {
             rest = after;
         }
         self.body = rest;
-        Some(anchor)
+        Some((anchor, feature.map_or(NO_FEATURE, |feature| feature.feature())))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::record::{as_next_version, check_every_damage_is_noticed};
-    use super::*;
-    use std::vec::Vec;
-
-    fn gaussian(seed: f32) -> GaussianParams {
-        GaussianParams {
-            offset: [seed, seed + 0.1, seed + 0.2],
-            log_scale: [-seed; 3],
-            quaternion_xyzw: [0.0, 0.0, seed, 1.0],
-            opacity_logit: -1.7,
-            color_logit: [seed * 2.0; 3],
-        }
-    }
-
-    fn anchor(keyframe_id: u32, n_gaussians: u8) -> StoredAnchor {
-        StoredAnchor {
-            position_in_keyframe_m: [1.0, 2.0, 3.0 + keyframe_id as f32],
-            keyframe_id,
-            log_extent: [-2.0, -2.1, -2.2],
-            level: 3,
-            n_gaussians,
-            reserved: 0,
-        }
-    }
-
-    const LABEL: PageLabel = PageLabel {
-        page_id: 4,
-        chunk_id: 1,
-        first_keyframe_id: 40,
-        last_keyframe_id: 49,
-        n_anchors: 0,
-        n_gaussians: 0,
-        gaussians_per_anchor: 2,
-        revision: 0,
-    };
-
-    fn page(anchors: &[StoredAnchor]) -> Vec<u8> {
-        let mut memory = std::vec![0xa5; 1000];
-        let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
-        for anchor in anchors {
-            encoder.push(anchor, &[gaussian(0.25), gaussian(0.5)]).expect("room for all");
-        }
-        let (_, length) = encoder.finish().expect("sealed");
-        memory.truncate(length);
-        memory
-    }
-
-    #[test]
-    fn what_was_pushed_comes_back_in_order() {
-        let pushed = [anchor(40, 2), anchor(49, 1), anchor(41, 0)];
-        let bytes = page(&pushed);
-        assert_eq!(bytes.len(), page_file_bytes(3, 3));
-        let (label, mut reader) = decode_page(&bytes).expect("undamaged");
-        assert_eq!(label, PageLabel { n_anchors: 3, n_gaussians: 3, ..LABEL });
-        assert_eq!(decode_page_label(&bytes[..PAGE_HEADER_BYTES]), Ok(label));
-        let mut scratch = [gaussian(9.0); 2];
-        assert_eq!(reader.next_anchor(&mut scratch), Some(pushed[0]));
-        assert_eq!(scratch, [gaussian(0.25), gaussian(0.5)]);
-        scratch[1] = gaussian(9.0);
-        assert_eq!(reader.next_anchor(&mut scratch), Some(pushed[1]));
-        assert_eq!(scratch, [gaussian(0.25), gaussian(9.0)]);
-        assert_eq!(reader.next_anchor(&mut scratch), Some(pushed[2]));
-        assert_eq!(reader.next_anchor(&mut scratch), None);
-    }
-
-    #[test]
-    fn every_flipped_bit_and_every_cut_is_noticed() {
-        for anchors in [[].as_slice(), &[anchor(40, 2), anchor(41, 1)]] {
-            check_every_damage_is_noticed(&page(anchors), |bytes| decode_page(bytes).map(|_| ()));
-        }
-    }
-
-    #[test]
-    fn a_page_of_the_next_version_is_refused_as_such() {
-        let verdict = decode_page(&as_next_version(&page(&[anchor(40, 1)]))).map(|_| ());
-        assert_eq!(verdict, Err(RecordProblem::Version { found: 2 }));
-    }
-
-    #[test]
-    fn content_that_contradicts_its_label_is_refused() {
-        let verdict = |bytes: &[u8]| decode_page(bytes).map(|_| ());
-        let foreign_keyframe = page(&[anchor(40, 1), anchor(50, 1)]);
-        assert_eq!(verdict(&foreign_keyframe), Err(RecordProblem::Inconsistent { element: 1 }));
-        let mut trailing = page(&[anchor(40, 1)]);
-        trailing.push(0);
-        assert_eq!(verdict(&trailing), Err(RecordProblem::Inconsistent { element: 0 }));
-    }
-
-    #[test]
-    fn a_full_page_refuses_and_stays_valid() {
-        let mut memory = std::vec![0; page_file_bytes(1, 1) + 10];
-        let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
-        assert_eq!(encoder.push(&anchor(40, 1), &[gaussian(1.0)]), Ok(()));
-        let full = Err(PageFull { capacity_bytes: page_file_bytes(1, 1) as u32 + 10 });
-        assert_eq!(encoder.push(&anchor(41, 0), &[]), full);
-        assert_eq!(encoder.label().n_anchors, 1);
-        let (memory, length) = encoder.finish().expect("sealed");
-        assert_eq!(decode_page(&memory[..length]).map(|page| page.0.n_anchors), Ok(1));
-        assert!(PageEncoder::new([0u8; BODY_START - 1], LABEL).is_err());
-    }
-
-    #[test]
-    fn an_anchor_with_more_gaussians_than_allowed_is_refused() {
-        let mut encoder = PageEncoder::new([0u8; 900], LABEL).expect("room for a label");
-        assert!(encoder.push(&anchor(40, 3), &[gaussian(1.0); 3]).is_err(), "above the label's capacity");
-        assert!(encoder.push(&anchor(40, 2), &[gaussian(1.0)]).is_err(), "above the slice");
-    }
-}
+mod tests;

@@ -3,8 +3,13 @@
 use core::fmt;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-/// Version of the store. A reader refuses any other.
-pub const STORE_VERSION: u32 = 1;
+/// Version of the store that is written.
+///
+/// 2: anchors may have features, and chunks a learned decoder. 1: neither; such records are still read.
+pub const STORE_VERSION: u32 = 2;
+
+/// Oldest version that is read.
+const OLDEST_VERSION: u32 = 1;
 
 /// Bytes in front of every body.
 pub(super) const PREFIX_BYTES: usize = size_of::<Prefix>();
@@ -57,7 +62,7 @@ pub enum RecordProblem {
         /// Checksum of the bytes as they are.
         computed_crc: u32,
     },
-    /// Written by another version of the program: convert the map or use that version.
+    /// Written by a newer version of the program: convert the map or use that version.
     Version {
         /// Version of the record.
         found: u32,
@@ -83,7 +88,9 @@ impl fmt::Display for RecordProblem {
             Self::Changed { stored_crc, computed_crc } => {
                 write!(f, "bytes were changed: checksum is {computed_crc:08x}, {stored_crc:08x} was stored")
             }
-            Self::Version { found } => write!(f, "written as version {found}, this program reads {STORE_VERSION}"),
+            Self::Version { found } => {
+                write!(f, "written as version {found}, this program reads {OLDEST_VERSION} to {STORE_VERSION}")
+            }
             Self::NotThisRecord { wanted_kind, found_kind: 0 } => {
                 write!(f, "does not start like a record (kind {wanted_kind} expected)")
             }
@@ -153,7 +160,7 @@ fn open_prefix(kind: RecordKind, bytes: &[u8]) -> Result<Prefix, RecordProblem> 
     if computed_crc != prefix.prefix_crc {
         return Err(RecordProblem::Changed { stored_crc: prefix.prefix_crc, computed_crc });
     }
-    if prefix.version != STORE_VERSION {
+    if !(OLDEST_VERSION..=STORE_VERSION).contains(&prefix.version) {
         return Err(RecordProblem::Version { found: prefix.version });
     }
     if prefix.kind != wanted_kind {
@@ -194,11 +201,22 @@ pub(super) fn check_every_damage_is_noticed(record: &[u8], decodes: impl Fn(&[u8
     }
 }
 
+/// Length of the record at the beginning of `bytes`, which may end within its body.
+pub(super) fn length(kind: RecordKind, bytes: &[u8]) -> Result<usize, RecordProblem> {
+    open_prefix(kind, bytes).map(|prefix| PREFIX_BYTES.saturating_add(prefix.body_bytes as usize))
+}
+
 /// Test helper: the record as the next version of the program would write it.
 #[cfg(test)]
 pub(super) fn as_next_version(record: &[u8]) -> std::vec::Vec<u8> {
+    as_version(STORE_VERSION + 1, record)
+}
+
+/// Test helper: the record with another version in its prefix.
+#[cfg(test)]
+pub(super) fn as_version(version: u32, record: &[u8]) -> std::vec::Vec<u8> {
     let (mut prefix, _) = Prefix::read_from_prefix(record).expect("a whole prefix");
-    prefix.version += 1;
+    prefix.version = version;
     prefix.prefix_crc = prefix_crc(&prefix);
     let mut copy = record.to_vec();
     copy[..PREFIX_BYTES].copy_from_slice(prefix.as_bytes());
@@ -225,6 +243,9 @@ mod tests {
         let length = write(RecordKind::Chunk, &7u64, &mut record).expect("64 bytes hold it");
         let newer = as_next_version(&record[..length]);
         assert_eq!(open(RecordKind::Chunk, &newer), Err(RecordProblem::Version { found: STORE_VERSION + 1 }));
+        let too_old = as_version(OLDEST_VERSION - 1, &record[..length]);
+        assert_eq!(open(RecordKind::Chunk, &too_old), Err(RecordProblem::Version { found: OLDEST_VERSION - 1 }));
+        assert!(open(RecordKind::Chunk, &as_version(OLDEST_VERSION, &record[..length])).is_ok());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What one element of each row costs. Sizes come from the types that are stored, never from the file.
 
 use super::{Budget, Location, Row};
-use crate::mapping::{capacity as mapper, mapping_camera};
+use crate::mapping::{MapperSettings, capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
 use crate::splat::cpu::CpuBackend;
 use crate::splat::device::{HostCopy, arena_bytes};
@@ -11,6 +11,22 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::keyframe::{KeyframeWindow, WINDOW};
 use kilogs_core::store::{PageLabel, StoredKeyframe};
 use kilogs_core::tracking::{BYTES_PER_LANDMARK, BYTES_PER_TRACK, FrameReport, KeyframePoint};
+
+/// What settings of the mapper memory depends on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MappingPlan {
+    /// Size of the training images relative to the camera's, `mapping.resolution`.
+    pub resolution: f64,
+    /// Anchors have features and chunks decoders, `mapping.decoder`.
+    pub learned_decoder: bool,
+}
+
+impl MappingPlan {
+    /// What these settings ask for, for a camera of this width.
+    pub fn of(mapper: &MapperSettings, camera_width_px: u32) -> Self {
+        Self { resolution: mapper.resolution_for(camera_width_px), learned_decoder: mapper.learned_decoder }
+    }
+}
 
 /// What the plan has to know beside the budget.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,8 +39,8 @@ pub struct PlanInput {
     pub frame_bytes: u64,
     /// Channels of the images that the map is trained on: 1 or 3.
     pub color_channels: u32,
-    /// Size of the training images relative to the camera's, `mapping.resolution`.
-    pub mapping_resolution: f64,
+    /// What the mapper is going to do.
+    pub mapping: MappingPlan,
     /// What computes the map, and in whose memory.
     pub compute: ComputeMemory,
 }
@@ -56,7 +72,7 @@ impl PlanInput {
     fn mapping_camera(&self) -> Pinhole {
         let (width, height) = (self.width, self.height);
         let native = Pinhole { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
-        mapping_camera(&native, self.mapping_resolution)
+        mapping_camera(&native, self.mapping.resolution)
     }
 }
 
@@ -216,7 +232,7 @@ mod tests {
             height: 376,
             frame_bytes: 1241 * 376 * 3,
             color_channels: 3,
-            mapping_resolution: 0.5,
+            mapping: MappingPlan { resolution: 0.5, learned_decoder: true },
             compute,
         }
     }

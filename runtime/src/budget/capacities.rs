@@ -53,7 +53,7 @@ impl Budget {
             keyframe_rows: self.capacity(Row::MapKeyframes),
             chunk_rows: self.capacity(Row::MapChunks),
             exposure_slots: self.capacity(Row::MapKeyframeImages),
-            learned_decoder: false,
+            learned_decoder: input.mapping.learned_decoder,
         }
     }
 
@@ -62,7 +62,7 @@ impl Budget {
         let page_anchors = self.capacity(Row::StorePageAnchors);
         let page_gaussians = page_anchors.saturating_mul(self.capacity(Row::MapGaussiansPerAnchor));
         StoreCapacity {
-            page_bytes: page_file_bytes(page_anchors, page_gaussians),
+            page_bytes: page_file_bytes(page_anchors, page_gaussians, true),
             page_buffers: self.capacity(Row::StorePageQueue),
             image_buffers: self.capacity(Row::StoreImageQueue).saturating_sub(1),
         }

@@ -1,6 +1,6 @@
 //! `kilogs budget`: prints the memory plan.
 
-use super::{Budget, Plan, PlanInput};
+use super::{Budget, MappingPlan, Plan, PlanInput};
 use crate::compute::{BackendChoice, Compute};
 use crate::run_error::RunError;
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ impl PlanCameraArgs {
     ///
     /// # Errors
     /// [`RunError::Device`] when a device was asked for that cannot be had.
-    pub fn plan_input(&self, mapping_resolution: f64) -> Result<PlanInput, RunError> {
+    pub fn plan_input(&self, mapping: MappingPlan) -> Result<PlanInput, RunError> {
         let (width, height) = self.size;
         let compute = Compute::choose(self.backend, self.device)?.memory();
         Ok(PlanInput {
@@ -50,7 +50,7 @@ impl PlanCameraArgs {
             height,
             frame_bytes: u64::from(width) * u64::from(height) * u64::from(self.pixel_bytes),
             color_channels: if self.pixel_bytes == 1 { 1 } else { 3 },
-            mapping_resolution,
+            mapping,
             compute,
         })
     }
@@ -70,9 +70,9 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 ///
 /// # Errors
 /// [`RunError`] for a file or a device that cannot be used, and for a plan above its cap.
-pub fn run(args: &BudgetArgs, mapping_resolution: f64) -> Result<(), RunError> {
+pub fn run(args: &BudgetArgs, mapping: MappingPlan) -> Result<(), RunError> {
     let budget = Budget::load(args.budget.as_deref())?;
-    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping_resolution)?);
+    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping)?);
     if !args.check {
         println!("{plan}");
     }

@@ -188,7 +188,7 @@ impl fmt::Display for Plan {
             input.width,
             input.height,
             HumanBytes(input.frame_bytes),
-            input.mapping_resolution
+            input.mapping.resolution
         )?;
         writeln!(
             f,

@@ -132,14 +132,14 @@ rows! {
     TrackingLandmarks = ["tracking"."landmarks"], "a point of the window and where it was seen", HOST, Refuse, 64..=1 << 18;
     TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window and its part of the bundle adjustment", HOST, OverwriteOldest, 8..=8;
     PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;
-    MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers and their moments", BACKEND, Refuse, 64..=1 << 24;
+    MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers, feature and their moments", BACKEND, Refuse, 64..=1 << 24;
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;
     MapNewAnchors = ["map"."new_anchors"], "an anchor that a keyframe is about to spawn", HOST, Refuse, 16..=1 << 20;
     MapVoxels = ["map"."voxels"], "a slot of the voxel hash", HOST, Refuse, 64..=1 << 26;
     MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, OverwriteOldest, 4..=1 << 16;
     MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on, and its exposure", HOST, OverwriteOldest, 2..=4096;
     MapWorkspaces = ["map"."workspaces"], "planes of motion stereo and insertion", HOST, Refuse, 1..=1;
-    MapChunks = ["map"."chunks"], "a resident chunk's background with its moments", BACKEND, OverwriteOldest, 1..=1 << 12;
+    MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, OverwriteOldest, 1..=1 << 12;
     SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian and its gradient", BACKEND, Refuse, 64..=1 << 26;
     SplatRowEntries = ["splat"."row_entries"], "a (row of tiles, Gaussian) entry and its gradient", BACKEND, Refuse, 64..=1 << 27;
     SplatPairs = ["splat"."pairs"], "a (tile, Gaussian) pair", BACKEND, Refuse, 64..=1 << 28;

@@ -7,7 +7,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     height: 376,
     frame_bytes: 1241 * 376 * 3,
     color_channels: 3,
-    mapping_resolution: 0.5,
+    mapping: MappingPlan { resolution: 0.5, learned_decoder: true },
     compute: ComputeMemory::Cpu,
 };
 

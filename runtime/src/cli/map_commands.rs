@@ -64,6 +64,7 @@ fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
         chunk_rows: budget.capacity(Row::MapChunks),
         // Nothing is trained here.
         training_pixels: 1,
+        learned_decoder: map.has_learned_decoder(),
         ..Capacities::for_map(anchors, gaussians, camera.width, camera.height)
     }
 }

@@ -9,6 +9,7 @@ mod run;
 
 pub use common::CommonArgs;
 
+use crate::budget::MappingPlan;
 use crate::run_error::RunError;
 use clap::{Parser, Subcommand};
 use kilogs_camera::cli::CameraArgs;
@@ -83,13 +84,13 @@ pub fn main() -> Result<(), RunError> {
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
             let settings = crate::config::load(&command.config)?;
-            let resolution = settings.mapping.mapper.resolution_for(command.args.camera.size.0);
-            crate::budget::run(&command.args, resolution)
+            let mapping = MappingPlan::of(&settings.mapping.mapper, command.args.camera.size.0);
+            crate::budget::run(&command.args, mapping)
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;
-            let resolution = settings.mapping.mapper.resolution_for(command.args.camera.size.0);
-            crate::doctor::run(&command.args, resolution).map_err(|e| RunError::Run(e.to_string()))
+            let mapping = MappingPlan::of(&settings.mapping.mapper, command.args.camera.size.0);
+            crate::doctor::run(&command.args, mapping).map_err(|e| RunError::Run(e.to_string()))
         }
         Command::Camera(args) => Ok(kilogs_camera::cli::run(args)?),
     }

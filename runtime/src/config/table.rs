@@ -156,6 +156,14 @@ pub(super) const SETTINGS: &[Setting] = &[
     ),
     switch!("tracking.motion_reverse_allowed", None, tracking.tracker.motion.reverse_allowed),
     switch!("mapping.enabled", None, mapping.enabled),
+    Setting {
+        key: "mapping.decoder",
+        kind: Kind::Choice {
+            available: &["direct", "learned"],
+            planned: &[],
+            put: |settings, word| settings.mapping.mapper.learned_decoder = word == "learned",
+        },
+    },
     number!("mapping.resolution", Range::closed(0.125, 1.0), mapping.mapper.resolution),
     whole!("mapping.min_width_px", Range::closed(0.0, 4096.0), mapping.mapper.min_width_px),
     whole!("mapping.window", Range::closed(1.0, 64.0), mapping.mapper.window),

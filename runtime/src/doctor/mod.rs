@@ -2,7 +2,7 @@
 
 mod checks;
 
-use crate::budget::{Budget, Plan, PlanCameraArgs};
+use crate::budget::{Budget, MappingPlan, Plan, PlanCameraArgs};
 use std::fmt;
 use std::path::PathBuf;
 
@@ -59,10 +59,10 @@ pub struct NotReady {
 }
 
 /// Looks at everything a run needs.
-pub fn examine(args: &DoctorArgs, mapping_resolution: f64) -> Vec<Finding> {
+pub fn examine(args: &DoctorArgs, mapping: MappingPlan) -> Vec<Finding> {
     let mut findings = vec![checks::cores(), checks::simd()];
     match Budget::load(args.budget.as_deref()) {
-        Ok(budget) => match args.camera.plan_input(mapping_resolution) {
+        Ok(budget) => match args.camera.plan_input(mapping) {
             Ok(input) => {
                 let plan = Plan::compute(&budget, &input);
                 findings.push(checks::shared_memory(plan.ipc_bytes()));
@@ -82,8 +82,8 @@ pub fn examine(args: &DoctorArgs, mapping_resolution: f64) -> Vec<Finding> {
 ///
 /// # Errors
 /// [`NotReady`] when something has to be mended.
-pub fn run(args: &DoctorArgs, mapping_resolution: f64) -> Result<(), NotReady> {
-    let findings = examine(args, mapping_resolution);
+pub fn run(args: &DoctorArgs, mapping: MappingPlan) -> Result<(), NotReady> {
+    let findings = examine(args, mapping);
     for finding in &findings {
         println!("{finding}");
     }
@@ -104,7 +104,11 @@ mod tests {
     }
 
     fn subjects_to_mend(args: &DoctorArgs) -> Vec<&'static str> {
-        examine(args, 0.5).into_iter().filter(|f| f.advice.is_some()).map(|f| f.subject).collect()
+        examine(args, MappingPlan { resolution: 0.5, learned_decoder: true })
+            .into_iter()
+            .filter(|f| f.advice.is_some())
+            .map(|f| f.subject)
+            .collect()
     }
 
     #[test]

@@ -74,7 +74,7 @@ mod tests {
         log_extent: [0.0; 3],
         level: 0,
         n_gaussians: 1,
-        reserved: 0,
+        feature_kind: 0,
     };
     // A quarter turn to the right (about y, down): forward becomes right.
     const KEYFRAME: StoredKeyframe = StoredKeyframe {

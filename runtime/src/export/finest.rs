@@ -129,7 +129,7 @@ mod tests {
                     log_extent: [0.0; 3],
                     level: *level,
                     n_gaussians: 1,
-                    reserved: 0,
+                    feature_kind: 0,
                 };
                 page.push(&anchor, &[gaussian(0.0)]).expect("room");
             }

@@ -70,7 +70,7 @@ fn write_map(folder: &Path) {
             log_extent: [0.0; 3],
             level: 0,
             n_gaussians: 2,
-            reserved: 0,
+            feature_kind: 0,
         };
         let second = if id == 1 { f32::NAN } else { -2.0 };
         let mut page = store.begin_page(label).expect("a buffer");

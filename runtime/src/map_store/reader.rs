@@ -31,6 +31,7 @@ pub struct MapStoreReader {
     held_out: Vec<StoredKeyframe>,
     pages: Vec<PageLabel>,
     chunks: BTreeMap<u32, ChunkLabel>,
+    learned_decoder: bool,
     damages: Vec<Damage>,
 }
 
@@ -60,7 +61,7 @@ impl MapStoreReader {
 
     fn from_found(folder: &Path, manifest: Manifest, found: Found) -> Self {
         let counts = found.counts();
-        let Found { keyframes, pages, chunks, mut damages } = found;
+        let Found { keyframes, pages, chunks, learned_decoder, mut damages } = found;
         let mut held_out = Vec::with_capacity(usize::try_from(counts.held_out).unwrap_or(0));
         let mut mapping = Vec::with_capacity(keyframes.len() - held_out.capacity());
         for view in keyframes.into_values() {
@@ -75,6 +76,7 @@ impl MapStoreReader {
             held_out,
             pages: Vec::new(),
             chunks,
+            learned_decoder,
             damages: vec![],
         };
         for page in pages.into_values() {
@@ -121,6 +123,11 @@ impl MapStoreReader {
     /// Chunks by id.
     pub fn chunks(&self) -> impl Iterator<Item = &ChunkLabel> {
         self.chunks.values()
+    }
+
+    /// Whether some chunk has a learned decoder: the backend that shows the map needs one then.
+    pub fn has_learned_decoder(&self) -> bool {
+        self.learned_decoder
     }
 
     /// Distance from a place in the map to the nearest keyframe of a page, m; infinite when all are lost.

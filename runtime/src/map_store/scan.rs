@@ -3,7 +3,7 @@
 use super::{Damage, DamageKind, StoreBytes, StoreError, layout};
 use kilogs_core::store::{
     ChunkLabel, KEYFRAME_RECORD_BYTES, MapCounts, PAGE_HEADER_BYTES, PageLabel, RecordProblem, StoredKeyframe,
-    decode_chunk, decode_keyframe, decode_page_label, page_file_bytes,
+    decode_chunk, decode_keyframe, page_length,
 };
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,6 +19,8 @@ pub(super) struct Found {
     pub(super) pages: BTreeMap<u32, PageLabel>,
     /// By chunk id.
     pub(super) chunks: BTreeMap<u32, ChunkLabel>,
+    /// Some chunk has a learned decoder.
+    pub(super) learned_decoder: bool,
     pub(super) damages: Vec<Damage>,
 }
 
@@ -61,11 +63,12 @@ pub(super) fn scan(folder: &Path) -> Result<Found, StoreError> {
     for (chunk_id, path) in numbered_files(&folder.join(layout::CHUNKS))? {
         let file = relative(layout::CHUNKS, &path);
         let bytes = fs::read(&path).map_err(|e| StoreError::read("opening", &path, e))?;
-        match decode_chunk(&bytes).map(|chunk| chunk.label) {
-            Ok(label) if label.chunk_id == chunk_id => {
+        match decode_chunk(&bytes).map(|chunk| (chunk.label, chunk.decoder.is_residual())) {
+            Ok((label, is_learned)) if label.chunk_id == chunk_id => {
                 found.chunks.insert(chunk_id, label);
+                found.learned_decoder |= is_learned;
             }
-            Ok(label) => found.damage(file, DamageKind::Misnamed { id: label.chunk_id }),
+            Ok((label, _)) => found.damage(file, DamageKind::Misnamed { id: label.chunk_id }),
             Err(problem) => found.damage(file, DamageKind::Record { offset: 0, problem }),
         }
     }
@@ -103,10 +106,10 @@ fn read_label(path: &Path) -> Result<Result<PageLabel, RecordProblem>, StoreErro
     let mut file = File::open(path).map_err(failed)?;
     let mut header = [0; PAGE_HEADER_BYTES];
     let n_bytes = read_up_to(&mut file, &mut header).map_err(failed)?;
-    let label = decode_page_label(&header[..n_bytes]);
+    let page = page_length(&header[..n_bytes]);
     let length = file.metadata().map_err(failed)?.len();
-    Ok(label.and_then(|label| {
-        let needed = page_file_bytes(label.n_anchors as usize, label.n_gaussians as usize) as u64;
+    Ok(page.and_then(|(label, needed)| {
+        let needed = needed as u64;
         if length < needed {
             let saturate = |bytes: u64| u32::try_from(bytes).unwrap_or(u32::MAX);
             return Err(RecordProblem::Truncated { found: saturate(length), needed: saturate(needed) });

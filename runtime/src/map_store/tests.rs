@@ -60,7 +60,7 @@ fn anchor(keyframe_id: u32) -> StoredAnchor {
         log_extent: [-1.0; 3],
         level: 1,
         n_gaussians: 2,
-        reserved: 0,
+        feature_kind: 0,
     }
 }
 

@@ -298,7 +298,7 @@ fn check_settings(manifest: &Manifest, settings: &StoreSettings) -> Result<usize
         return refuse(format!("JPEG quality {} is not within 1 to 100", settings.jpeg_quality));
     }
     let StoreCapacity { page_bytes, page_buffers, image_buffers } = settings.capacity;
-    let needed = page_file_bytes(1, manifest.gaussians_per_anchor as usize);
+    let needed = page_file_bytes(1, manifest.gaussians_per_anchor as usize, true);
     if page_bytes < needed {
         return refuse(format!("a page buffer of {page_bytes} bytes does not hold one anchor ({needed} bytes)"));
     }

@@ -6,7 +6,7 @@ use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
 use kilogs_core::map::depth::sweep::N_LABELS;
 use kilogs_core::map::pool::AnchorSlot;
 use kilogs_core::map::voxel::VoxelCell;
-use kilogs_core::map::{AnchorHeader, GaussianParams};
+use kilogs_core::map::{AnchorFeature, AnchorHeader, GaussianParams};
 
 /// Sizes fixed at construction; a mapper's memory follows from them alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,7 +62,10 @@ pub fn bytes_per_image(camera: &Pinhole, bytes_per_pixel: usize) -> usize {
 
 /// Bytes of an anchor that is about to be spawned.
 pub fn bytes_per_new_anchor(gaussians_per_anchor: usize) -> usize {
-    gaussians_per_anchor * size_of::<GaussianParams>() + size_of::<AnchorHeader>() + size_of::<u32>()
+    gaussians_per_anchor * size_of::<GaussianParams>()
+        + size_of::<AnchorHeader>()
+        + size_of::<AnchorFeature>()
+        + size_of::<u32>()
 }
 
 /// Bytes of the planes of motion stereo, at half the mapping resolution, and of insertion.

@@ -1,11 +1,10 @@
-//! What leaves memory: faint Gaussians when their keyframe leaves the window, pages when the vehicle is far away.
+//! What leaves memory: pages when the vehicle is far away.
 
 use super::mapper::{CHUNK_KEYFRAMES, KeyframePacket, Mapper};
-use super::scratch::{NO_GAUSSIAN, NO_HEADER, Staging};
+use super::scratch::{NO_HEADER, Staging};
 use super::sink::PageSink;
-use crate::splat::{BACKGROUND_COLUMNS, GaussianParams};
+use crate::splat::BACKGROUND_COLUMNS;
 use kilogs_core::conventions::Rigid;
-use kilogs_core::map::AnchorHeader;
 use kilogs_core::store::{ChunkBackground, ChunkLabel, PageLabel, StoredAnchor};
 use nalgebra::Vector3;
 
@@ -91,7 +90,12 @@ impl Mapper {
             let is_full = f64::from(self.pool.n_live()) > HIGH_WATER * self.capacity.anchors as f64
                 || self.groups.groups.len() + 1 >= MAX_GROUPS;
             let is_far = oldest.distance_m(&position_m) > self.settings.page_distance_m;
-            if !(is_far || is_full) || oldest.last_ordinal >= newest_safe || !self.evict_group(oldest.group, sink) {
+            // The row of its chunk is about to be used again.
+            let loses_row = oldest.group * PAGE_KEYFRAMES / CHUNK_KEYFRAMES + self.capacity.chunk_rows as u32 <= chunk;
+            if !(is_far || is_full || loses_row)
+                || oldest.last_ordinal >= newest_safe
+                || !self.evict_group(oldest.group, sink)
+            {
                 return;
             }
             self.groups.groups.pop_front();
@@ -130,6 +134,7 @@ impl Mapper {
         if !self.backend.read_background(chunk_row, &mut self.background) {
             return false;
         }
+        self.read_decoder(chunk);
         let label = ChunkLabel {
             chunk_id: chunk,
             first_keyframe_id: chunk * CHUNK_KEYFRAMES,
@@ -137,7 +142,7 @@ impl Mapper {
             revision: 0,
         };
         let background = ChunkBackground { width: BACKGROUND_COLUMNS as u32, texels: &self.background };
-        sink.write_chunk(label, background).is_ok()
+        sink.write_chunk(label, self.decoders.stored(), background).is_ok()
     }
 
     /// Hands over one group, page by page; false when the sink is busy: what was handed over is gone, the rest stays.
@@ -147,8 +152,7 @@ impl Mapper {
             if self.staging.slots.is_empty() {
                 return true;
             }
-            let Staging { slots, headers, params, .. } = &mut self.staging;
-            self.backend.read_anchors(slots, headers, params);
+            self.read_staged();
             let n_stored = self.write_page(group, sink);
             if n_stored == 0 {
                 self.staging.clear();
@@ -173,14 +177,14 @@ impl Mapper {
         };
         let Ok(mut draft) = sink.begin_page(label) else { return 0 };
         let mut n_stored = 0;
-        let staged = self.staging.slots.iter().zip(&self.staging.headers);
-        for ((&slot, header), gaussians) in
+        let staged = self.staging.slots.iter().zip(&self.staging.headers).zip(&self.staging.features);
+        for (((&slot, header), feature), gaussians) in
             staged.zip(self.staging.params.chunks_exact(self.capacity.gaussians_per_anchor))
         {
             let record = self.pool.handle_at(slot).and_then(|handle| self.pool.get(handle).copied());
             let Some(record) = record else { continue };
             let anchor = StoredAnchor::from_header(header, record.keyframe_ordinal);
-            if draft.push(&anchor, gaussians).is_err() {
+            if draft.push_with_feature(&anchor, feature, gaussians).is_err() {
                 break;
             }
             n_stored += 1;
@@ -197,7 +201,7 @@ impl Mapper {
     }
 
     /// Stages the anchors of some keyframes in slot order, as many as fit, to be read from the backend.
-    fn stage(&mut self, belongs: impl Fn(u32) -> bool) {
+    pub(super) fn stage(&mut self, belongs: impl Fn(u32) -> bool) {
         self.staging.clear();
         for (handle, record) in self.pool.iter() {
             if self.staging.is_full() {
@@ -209,8 +213,15 @@ impl Mapper {
         }
     }
 
+    /// Fetches what the staged slots hold; features stay 0 where the backend has none.
+    pub(super) fn read_staged(&mut self) {
+        let Staging { slots, headers, params, features, .. } = &mut self.staging;
+        self.backend.read_anchors(slots, headers, params);
+        self.backend.read_features(slots, features);
+    }
+
     /// Ends staged anchors: they leave pool, grid and backend.
-    fn forget(&mut self, staged: std::ops::Range<usize>) {
+    pub(super) fn forget(&mut self, staged: std::ops::Range<usize>) {
         let slots = &self.staging.slots[staged];
         for &slot in slots {
             let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.remove(handle)) else { continue };
@@ -220,82 +231,4 @@ impl Mapper {
         }
         self.backend.retire_anchors(slots);
     }
-
-    /// Drops the faint and the oversized Gaussians of the keyframe that has just left the window.
-    pub(super) fn prune_after_window(&mut self) {
-        if let Some(left) = self.images.newest(self.settings.window).map(|kept| kept.keyframe.ordinal) {
-            self.prune(left);
-        }
-    }
-
-    /// Drops the faint and the oversized Gaussians of a keyframe.
-    pub(super) fn prune(&mut self, ordinal: u32) {
-        let focal_px = self.images.camera().fx as f32;
-        let max_sigma_px = self.settings.max_width_ratio * self.images.camera().width as f32 / WIDTH_IN_SIGMAS;
-        let limits = PruneLimits {
-            min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
-            max_sigma_z1: max_sigma_px / focal_px,
-        };
-        self.stage(|of_anchor| of_anchor == ordinal);
-        let Staging { slots, headers, params, .. } = &mut self.staging;
-        self.backend.read_anchors(slots, headers, params);
-        let k = self.capacity.gaussians_per_anchor;
-        // Anchors that lost all Gaussians go to the front, those that lost some behind them.
-        let mut n_ended = 0;
-        let mut n_changed = 0;
-        for nth in 0..slots.len() {
-            let before = headers[nth].n_gaussians;
-            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], &limits);
-            self.counters.gaussians_pruned += u64::from(before - after);
-            if after == before && after > 0 {
-                continue;
-            }
-            slots.swap(n_changed, nth);
-            headers.swap(n_changed, nth);
-            (0..k).for_each(|i| params.swap(n_changed * k + i, nth * k + i));
-            if after == 0 {
-                slots.swap(n_ended, n_changed);
-                headers.swap(n_ended, n_changed);
-                (0..k).for_each(|i| params.swap(n_ended * k + i, n_changed * k + i));
-                n_ended += 1;
-            }
-            n_changed += 1;
-        }
-        let changed = n_ended..n_changed;
-        self.backend.write_anchors(
-            &slots[changed.clone()],
-            &headers[changed.clone()],
-            &params[changed.start * k..changed.end * k],
-        );
-        self.forget(0..n_ended);
-        self.counters.anchors_pruned += n_ended as u64;
-        self.staging.clear();
-    }
-}
-
-/// A Gaussian is as wide as three standard deviations either way.
-const WIDTH_IN_SIGMAS: f32 = 6.0;
-
-struct PruneLimits {
-    min_opacity_logit: f32,
-    /// Largest standard deviation over depth, seen from the keyframe that spawned it.
-    max_sigma_z1: f32,
-}
-
-/// Moves the Gaussians worth keeping to the front; how many there are.
-fn keep_good(header: &mut AnchorHeader, gaussians: &mut [GaussianParams], limits: &PruneLimits) -> u8 {
-    let mut kept = 0;
-    for nth in 0..usize::from(header.n_gaussians) {
-        let gaussian = gaussians[nth];
-        let depth_m = header.position_in_keyframe_m[2] + gaussian.offset[2] * header.log_extent[2].exp();
-        let widest_m = (0..3).map(|i| (header.log_extent[i] + gaussian.log_scale[i]).exp()).fold(0.0, f32::max);
-        let is_wide = widest_m > limits.max_sigma_z1 * depth_m.abs();
-        if gaussian.opacity_logit >= limits.min_opacity_logit && !is_wide {
-            gaussians.swap(kept, nth);
-            kept += 1;
-        }
-    }
-    gaussians[kept..].fill(NO_GAUSSIAN);
-    header.n_gaussians = kept as u8;
-    kept as u8
 }

@@ -21,7 +21,7 @@ pub struct GivenView<'a> {
 }
 
 impl Mapper {
-    /// Takes one optimizer step on a view.
+    /// Takes one optimizer step on a view; the decoder of its chunk learns.
     pub fn train_on(&mut self, given: &GivenView<'_>, step: &StepSettings) -> StepReport {
         let view = View {
             camera_from_map: given.world_from_camera.inverse(),
@@ -29,7 +29,8 @@ impl Mapper {
             chunk_row: self.chunk_row(given.ordinal),
         };
         let training = TrainingView { view, target: given.target, depth: None, exposure_slot: None };
-        let report = self.backend.train_step(&training, step);
+        let step = StepSettings { decoder_row: Some(view.chunk_row), ..*step };
+        let report = self.backend.train_step(&training, &step);
         self.counters.iterations += u64::from(!report.stats.refused);
         report
     }

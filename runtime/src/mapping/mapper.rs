@@ -1,6 +1,7 @@
 //! The mapper: what it owns, and the order in which a keyframe passes through it.
 
 use super::capacity::MapperCapacity;
+use super::decoder::ChunkDecoders;
 use super::depth::{MotionStereo, SparseDepth};
 use super::evict::PageGroups;
 use super::images::{KeptKeyframe, KeyframeImages, MappingImage};
@@ -118,6 +119,7 @@ pub struct Mapper {
     pub(super) groups: PageGroups,
     pub(super) background: Box<[[f32; 3]]>,
     pub(super) background_of_chunk: Option<u32>,
+    pub(super) decoders: ChunkDecoders,
     pub(super) counters: MapCounters,
 }
 
@@ -146,6 +148,7 @@ impl Mapper {
             groups: PageGroups::default(),
             background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
             background_of_chunk: None,
+            decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             counters: MapCounters::default(),
         }
     }
@@ -168,6 +171,7 @@ impl Mapper {
             return Err(PacketRefused::ImageDoesNotFit { frame_index });
         }
         self.place(packet.ordinal, &packet.world_from_camera);
+        self.begin_decoder(packet.ordinal);
         self.groups.note(packet.ordinal, &packet.world_from_camera);
         self.prune_after_window();
         self.evict_far_pages(packet, sink);

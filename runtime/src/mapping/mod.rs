@@ -5,6 +5,7 @@
 //! them back to look at the finished map.
 
 pub mod capacity;
+mod decoder;
 mod depth;
 mod evict;
 mod given_views;
@@ -12,6 +13,7 @@ mod images;
 mod insert;
 mod mapper;
 mod optimize;
+mod prune;
 mod scratch;
 mod settings;
 mod shrink;

@@ -1,7 +1,7 @@
 //! Training steps: which keyframe is looked at next.
 
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
-use crate::splat::{TargetImage, TrainingView, View};
+use crate::splat::{StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
 
 /// What the steps achieved.
@@ -35,6 +35,7 @@ impl Mapper {
         let mut rng = Rng::new(self.settings.seed, self.counters.iterations, VIEW_CHOICE);
         let older = self.choose_older(&mut rng);
         let window = self.settings.window.min(self.images.len());
+        let settings = StepSettings { decoder_row: self.learning_row(), ..self.settings.step };
         let mut psnr_sum_db = 0.0;
         for _ in 0..n_iterations {
             let luck = rng.unit_f32();
@@ -56,7 +57,7 @@ impl Mapper {
                 chunk_row: ((kept.keyframe.ordinal / CHUNK_KEYFRAMES) as usize % self.capacity.chunk_rows) as u16,
             };
             let training_view = TrainingView { view, target, depth: None, exposure_slot: None };
-            let step = self.backend.train_step(&training_view, &self.settings.step);
+            let step = self.backend.train_step(&training_view, &settings);
             if step.stats.refused {
                 report.n_refused += 1;
                 continue;

@@ -1,7 +1,8 @@
 //! Working memory of one insertion.
 
+use kilogs_core::map::decoder::NO_FEATURE;
 use kilogs_core::map::insertion::{InsertionSample, MapImageSize};
-use kilogs_core::map::{AnchorHeader, GaussianParams};
+use kilogs_core::map::{AnchorFeature, AnchorHeader, GaussianParams};
 
 /// Images at mapping resolution that an insertion compares, one value per pixel each.
 #[derive(Debug)]
@@ -74,6 +75,8 @@ pub struct Staging {
     pub headers: Vec<AnchorHeader>,
     /// `gaussians_per_anchor` per slot.
     pub params: Vec<GaussianParams>,
+    /// One per slot.
+    pub features: Vec<AnchorFeature>,
     /// Position in `slots` of a slot that is staged.
     stage_of_slot: Box<[u32]>,
     gaussians_per_anchor: usize,
@@ -108,6 +111,7 @@ impl Staging {
             slots: Vec::with_capacity(capacity),
             headers: Vec::with_capacity(capacity),
             params: Vec::with_capacity(capacity * gaussians_per_anchor),
+            features: Vec::with_capacity(capacity),
             stage_of_slot: vec![NOT_STAGED; anchors].into(),
             gaussians_per_anchor,
             capacity,
@@ -127,6 +131,7 @@ impl Staging {
         self.slots.clear();
         self.headers.clear();
         self.params.clear();
+        self.features.clear();
     }
 
     /// Stages a slot with a header and room for its Gaussians; the caller checked [`is_full`](Self::is_full).
@@ -135,6 +140,7 @@ impl Staging {
         self.stage_of_slot[slot as usize] = self.slots.len() as u32;
         self.slots.push(slot);
         self.headers.push(header);
+        self.features.push(NO_FEATURE);
         self.params.extend(std::iter::repeat_n(NO_GAUSSIAN, self.gaussians_per_anchor));
     }
 
@@ -149,6 +155,16 @@ impl Staging {
         self.params[stage as usize * self.gaussians_per_anchor + nth] = gaussian;
         header.n_gaussians += 1;
         true
+    }
+
+    /// Exchanges the contents of two places; [`add_gaussian`](Self::add_gaussian) must not follow.
+    pub fn swap(&mut self, a: usize, b: usize) {
+        self.slots.swap(a, b);
+        self.headers.swap(a, b);
+        self.features.swap(a, b);
+        for i in 0..self.gaussians_per_anchor {
+            self.params.swap(a * self.gaussians_per_anchor + i, b * self.gaussians_per_anchor + i);
+        }
     }
 
     /// Whether a slot is staged.

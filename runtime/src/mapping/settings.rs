@@ -1,6 +1,6 @@
 //! What decides how a map is built.
 
-use crate::splat::{LearningRate, LearningRates, LossWeights, StepSettings};
+use crate::splat::{DecoderRates, LearningRate, LearningRates, LossWeights, StepSettings};
 use kilogs_core::map::depth::motion_stereo::StereoSettings;
 use kilogs_core::map::depth::sparse::SparseSettings;
 use kilogs_core::map::insertion::InsertionSettings;
@@ -17,6 +17,7 @@ const STEP: StepSettings = StepSettings {
         log_scale: LearningRate::constant(0.035),
         opacity: LearningRate::constant(0.1),
         color: LearningRate { start: 0.12, end: 0.04 },
+        decoder: DecoderRates::METHOD,
         ..LearningRates::DIRECT
     },
     progress: 0.0,
@@ -51,6 +52,8 @@ pub struct MapperSettings {
     pub newest_share: f32,
     /// Share of the steps that older keyframes get, [0, 1].
     pub older_share: f32,
+    /// Chunks have decoders that are learned; the splat backend must have room for them.
+    pub learned_decoder: bool,
     /// How an optimizer step is taken.
     pub step: StepSettings,
     /// A page leaves when all its keyframes are farther away than this, m.
@@ -82,6 +85,7 @@ impl MapperSettings {
             older_views: 2,
             newest_share: 0.35,
             older_share: 0.15,
+            learned_decoder: false,
             step: STEP,
             page_distance_m: 100.0,
             min_opacity: 0.05,

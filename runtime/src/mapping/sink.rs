@@ -17,11 +17,16 @@ pub trait PageSink {
     /// [`WriteRefusal::Stopped`]; the mapper keeps the anchors.
     fn commit_page(&mut self, draft: PageDraft) -> Result<(), WriteRefusal>;
 
-    /// Takes a chunk's background.
+    /// Takes a chunk's decoder and background.
     ///
     /// # Errors
     /// [`WriteRefusal`]; the mapper comes again.
-    fn write_chunk(&mut self, label: ChunkLabel, background: ChunkBackground<'_>) -> Result<(), WriteRefusal>;
+    fn write_chunk(
+        &mut self,
+        label: ChunkLabel,
+        decoder: DecoderParams<'_>,
+        background: ChunkBackground<'_>,
+    ) -> Result<(), WriteRefusal>;
 }
 
 impl PageSink for &MapStoreWriter {
@@ -33,7 +38,12 @@ impl PageSink for &MapStoreWriter {
         MapStoreWriter::commit_page(self, draft)
     }
 
-    fn write_chunk(&mut self, label: ChunkLabel, background: ChunkBackground<'_>) -> Result<(), WriteRefusal> {
-        MapStoreWriter::write_chunk(self, &label, DecoderParams::EXPLICIT, background)
+    fn write_chunk(
+        &mut self,
+        label: ChunkLabel,
+        decoder: DecoderParams<'_>,
+        background: ChunkBackground<'_>,
+    ) -> Result<(), WriteRefusal> {
+        MapStoreWriter::write_chunk(self, &label, decoder, background)
     }
 }

@@ -3,12 +3,13 @@
 use super::*;
 use crate::map_store::{PageDraft, WriteRefusal};
 use crate::seal;
-use crate::splat::Capacities;
 use crate::splat::cpu::{CpuBackend, SimdLevel};
+use crate::splat::{Capacities, DecoderShape};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::frame::PixelFormat;
-use kilogs_core::store::{ChunkBackground, ChunkLabel, PageEncoder, PageLabel, decode_page};
+use kilogs_core::map::decoder::NO_FEATURE;
+use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, PageEncoder, PageLabel, decode_page};
 use kilogs_core::tracking::RoadPlane;
 
 const CAMERA: Pinhole = Pinhole { width: 96, height: 48, fx: 60.0, fy: 60.0, cx: 48.0, cy: 20.0 };
@@ -20,6 +21,7 @@ const STEP_M: f64 = 4.0;
 struct MemorySink {
     pages: Vec<Vec<u8>>,
     chunks: Vec<(ChunkLabel, Vec<[f32; 3]>)>,
+    decoders: Vec<Vec<u8>>,
     busy_calls: usize,
 }
 
@@ -38,8 +40,14 @@ impl PageSink for MemorySink {
         Ok(())
     }
 
-    fn write_chunk(&mut self, label: ChunkLabel, background: ChunkBackground<'_>) -> Result<(), WriteRefusal> {
+    fn write_chunk(
+        &mut self,
+        label: ChunkLabel,
+        decoder: DecoderParams<'_>,
+        background: ChunkBackground<'_>,
+    ) -> Result<(), WriteRefusal> {
         self.chunks.push((label, background.texels.to_vec()));
+        self.decoders.push(decoder.bytes.to_vec());
         Ok(())
     }
 }
@@ -78,6 +86,10 @@ fn packet<'a>(ordinal: u32, pixels: &'a [u8]) -> KeyframePacket<'a> {
 }
 
 fn mapper(threads: usize, anchors: usize) -> Mapper {
+    mapper_with(threads, anchors, false)
+}
+
+fn mapper_with(threads: usize, anchors: usize, learned_decoder: bool) -> Mapper {
     let capacity = MapperCapacity {
         anchors,
         gaussians_per_anchor: 2,
@@ -90,10 +102,11 @@ fn mapper(threads: usize, anchors: usize) -> Mapper {
     let backend = Capacities {
         keyframe_rows: capacity.keyframe_rows,
         chunk_rows: capacity.chunk_rows,
+        learned_decoder,
         ..Capacities::for_map(anchors, 2, CAMERA.width, CAMERA.height)
     };
     let backend = CpuBackend::new(backend, threads, SimdLevel::best(), |_| ()).expect("a possible backend");
-    let settings = MapperSettings { page_distance_m: 30.0, ..MapperSettings::measured(7, 1.0) };
+    let settings = MapperSettings { page_distance_m: 30.0, learned_decoder, ..MapperSettings::measured(7, 1.0) };
     Mapper::new(settings, capacity, &CAMERA, 1, Box::new(backend))
 }
 
@@ -141,6 +154,56 @@ fn the_map_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
+fn a_learned_decoder_leaves_with_its_chunk_and_features_with_their_pages() {
+    let run = |threads| {
+        let (mut mapper, mut sink) = (mapper_with(threads, 16_384, true), MemorySink::default());
+        let reports = drive(&mut mapper, 12, &mut sink);
+        let (first, last) = (&reports[1].1, &reports[11].1);
+        assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db, "{first:?} then {last:?}");
+        sink
+    };
+    let sink = run(1);
+    let mut weights = vec![0.0; DecoderShape::new(2).len()];
+    assert_eq!(sink.decoders.len(), 1);
+    assert!(DecoderParams { kind: DecoderParams::RESIDUAL_KIND, bytes: &sink.decoders[0] }.read_residual(&mut weights));
+    assert!(weights[DecoderShape::new(2).output_weights()].iter().any(|weight| *weight != 0.0), "it learned");
+    let (mut n_anchors, mut n_features) = (0, 0);
+    for page in &sink.pages {
+        let (_, mut reader) = decode_page(page).expect("a whole page");
+        while let Some((_, feature)) = reader.next_with_feature(&mut []) {
+            n_anchors += 1;
+            n_features += u32::from(feature != NO_FEATURE);
+        }
+    }
+    assert!(n_features > n_anchors / 2, "{n_features} of {n_anchors} anchors learned a feature");
+    let again = run(2);
+    assert!(sink.pages == again.pages && sink.decoders == again.decoders, "same input, same bytes");
+}
+
+#[test]
+fn a_new_chunk_begins_with_the_decoder_of_the_one_before_which_is_frozen() {
+    let (mut mapper, mut sink) = (mapper_with(1, 16_384, true), MemorySink::default());
+    let mut fresh = [vec![0.0; DecoderShape::new(2).len()], vec![0.0; DecoderShape::new(2).len()]];
+    let train = |mapper: &mut Mapper, sink: &mut MemorySink, ordinal: u32| {
+        let pixels = picture(STEP_M * f64::from(ordinal));
+        mapper.insert_keyframe(&packet(ordinal, &pixels), sink).expect("a usable keyframe");
+        mapper.optimize(6);
+    };
+    (CHUNK_KEYFRAMES - 3..CHUNK_KEYFRAMES).for_each(|ordinal| train(&mut mapper, &mut sink, ordinal));
+    assert!(mapper.backend.read_decoder(0, &mut fresh[0]) && fresh[0].iter().any(|weight| *weight != 0.0));
+    let pixels = picture(STEP_M * f64::from(CHUNK_KEYFRAMES));
+    mapper.insert_keyframe(&packet(CHUNK_KEYFRAMES, &pixels), &mut sink).expect("a usable keyframe");
+    assert!(
+        mapper.backend.read_decoder(1, &mut fresh[1]) && fresh[1] == fresh[0],
+        "it begins where the last one ended"
+    );
+    mapper.optimize(6);
+    let mut after = fresh.clone();
+    assert!(mapper.backend.read_decoder(0, &mut after[0]) && after[0] == fresh[0], "a closed chunk is frozen");
+    assert!(mapper.backend.read_decoder(1, &mut after[1]) && after[1] != fresh[1], "the new one learns");
+}
+
+#[test]
 fn a_full_pool_refuses_and_says_how_often() {
     let (mut mapper, mut sink) = (mapper(1, 64), MemorySink::default());
     let reports = drive(&mut mapper, 3, &mut sink);
@@ -183,7 +246,7 @@ fn held_out_frames_and_odd_images_are_refused_without_a_trace() {
 
 #[test]
 fn after_construction_nothing_is_allocated() {
-    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    let (mut mapper, mut sink) = (mapper_with(1, 16_384, true), MemorySink::default());
     let pictures: Vec<Vec<u8>> = (0..3).map(|ordinal| picture(STEP_M * f64::from(ordinal))).collect();
     let sealed = seal::enter();
     for (pixels, ordinal) in pictures.iter().zip(0..) {

@@ -1,7 +1,7 @@
 //! What a run is going to do, checked before anything is started.
 
 use super::given_poses::GivenPoses;
-use crate::budget::{Budget, ComputeMemory, Location, Plan, PlanInput, Row};
+use crate::budget::{Budget, ComputeMemory, Location, MappingPlan, Plan, PlanInput, Row};
 use crate::cli::CommonArgs;
 use crate::compute::{BackendPlan, Compute};
 use crate::input::ServiceFormat;
@@ -110,7 +110,9 @@ impl RunPlan {
     ) -> Result<Self, RunError> {
         let simd = args.simd()?;
         let compute = args.compute()?;
-        let memory_input = plan_input(&format, training_resolution, compute.memory());
+        let learned_decoder = settings.mapping.mapper.learned_decoder;
+        let mapping = MappingPlan { resolution: training_resolution, learned_decoder };
+        let memory_input = plan_input(&format, mapping, compute.memory());
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
@@ -170,13 +172,13 @@ fn mapping_settings(args: &CommonArgs, format: &SourceFormat) -> Result<Settings
     Ok(settings)
 }
 
-fn plan_input(format: &SourceFormat, mapping_resolution: f64, compute: ComputeMemory) -> PlanInput {
+fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemory) -> PlanInput {
     PlanInput {
         width: format.camera.width,
         height: format.camera.height,
         frame_bytes: format.frame_bytes(),
         color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
-        mapping_resolution,
+        mapping,
         compute,
     }
 }

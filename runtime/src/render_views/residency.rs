@@ -4,7 +4,7 @@ use super::row_table::RowTable;
 use super::selection::CountedPage;
 use crate::map_store::{MapStoreReader, StoreError};
 use crate::splat::{
-    AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, GaussianParams, KeyframePlacement, SplatBackend,
+    AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, DecoderShape, GaussianParams, KeyframePlacement, SplatBackend,
 };
 use kilogs_core::conventions::rotation_from_xyzw;
 use kilogs_core::map::lod::N_LEVELS;
@@ -33,6 +33,8 @@ pub(super) struct Residency {
     file: Vec<u8>,
     gaussians: Vec<GaussianParams>,
     texels: Vec<[f32; 3]>,
+    /// Decoder on its way; empty when the backend draws what is stored.
+    decoder: Vec<f32>,
     /// Anchors that were not shown: their keyframe is lost or the backend refused them.
     pub(super) anchors_left_out: u64,
     /// Chunks without a readable background.
@@ -49,6 +51,8 @@ impl Residency {
             opacity_logit: 0.0,
             color_logit: [0.0; 3],
         };
+        let shape = DecoderShape::new(capacities.gaussians_per_anchor);
+        let decoder_len = if capacities.learned_decoder { shape.len() } else { 0 };
         Self {
             pages: BTreeMap::new(),
             free_slots: (0..u32::try_from(capacities.anchors).unwrap_or(u32::MAX)).rev().collect(),
@@ -57,6 +61,7 @@ impl Residency {
             file: Vec::new(),
             gaussians: vec![unused; capacities.gaussians_per_anchor],
             texels: vec![UNKNOWN_BACKGROUND; BACKGROUND_TEXELS],
+            decoder: vec![0.0; decoder_len],
             anchors_left_out: 0,
             backgrounds_missing: 0,
         }
@@ -161,7 +166,7 @@ impl Residency {
         let missing = finest_level..resident.finest_level;
         let chunk_row = self.chunks.row(resident.label.chunk_id).and_then(|row| u16::try_from(row).ok()).unwrap_or(0);
         let (_, mut anchors) = map.read_page(resident.label.page_id, &mut self.file)?;
-        while let Some(anchor) = anchors.next_anchor(&mut self.gaussians) {
+        while let Some((anchor, feature)) = anchors.next_with_feature(&mut self.gaussians) {
             let level = level_of(&anchor);
             if !missing.contains(&level) {
                 continue;
@@ -174,7 +179,10 @@ impl Residency {
                 continue;
             };
             let header: AnchorHeader = anchor.to_header(row, chunk_row);
-            let refused = backend.write_anchors(&[slot], &[header], &self.gaussians);
+            let mut refused = backend.write_anchors(&[slot], &[header], &self.gaussians);
+            if refused == 0 && !self.decoder.is_empty() {
+                refused = backend.write_features(&[slot], &[feature]);
+            }
             match resident.slots.get_mut(usize::from(level)) {
                 Some(slots) if refused == 0 => slots.push(slot),
                 _ => {
@@ -242,10 +250,16 @@ impl Residency {
         let row = u16::try_from(row).ok()?;
         if is_new {
             self.texels.fill(UNKNOWN_BACKGROUND);
+            // A chunk that is lost adds nothing to what its anchors store.
+            self.decoder.fill(0.0);
             let read = map.read_chunk(chunk_id, &mut self.file).map(|chunk| {
+                chunk.decoder.read_residual(&mut self.decoder);
                 let known = chunk.background_width as usize == BACKGROUND_COLUMNS;
                 known && chunk.read_background(&mut self.texels) == BACKGROUND_TEXELS
             });
+            if !self.decoder.is_empty() {
+                backend.write_decoder(row, &self.decoder);
+            }
             let written = backend.write_background(row, &self.texels);
             self.backgrounds_missing += u64::from(!(written && matches!(read, Ok(true))));
         }

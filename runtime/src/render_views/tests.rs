@@ -78,7 +78,7 @@ fn write_map(folder: &Path, pixel_format: PixelFormat) {
             log_extent: [0.0; 3],
             level: 0,
             n_gaussians: 1,
-            reserved: 0,
+            feature_kind: 0,
         };
         let mut page = store.begin_page(label).expect("a buffer");
         page.push(&anchor, &[gaussian]).expect("room");

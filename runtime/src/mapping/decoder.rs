@@ -1,0 +1,77 @@
+//! The chunks' decoders: how they begin, which one learns, and what one makes of an anchor.
+
+use super::capacity::MapperCapacity;
+use super::mapper::{CHUNK_KEYFRAMES, Mapper};
+use crate::splat::{AnchorFeature, DecoderShape};
+use kilogs_core::map::AnchorHeader;
+use kilogs_core::map::decoder::{fill_fresh_decoder, residual_at_spawn};
+use kilogs_core::store::DecoderParams;
+
+/// Working memory for the decoder of one chunk at a time; the decoders themselves are in the splat backend.
+#[derive(Debug)]
+pub struct ChunkDecoders {
+    shape: DecoderShape,
+    /// Empty when nothing is learned.
+    weights: Box<[f32]>,
+    residual: Box<[f32]>,
+    learning_chunk: Option<u32>,
+}
+
+impl ChunkDecoders {
+    /// Memory for decoders of these capacities.
+    pub fn new(capacity: &MapperCapacity, is_learned: bool) -> Self {
+        let shape = DecoderShape::new(capacity.gaussians_per_anchor);
+        let only_if_learned = |n: usize| if is_learned { n } else { 0 };
+        Self {
+            shape,
+            weights: vec![0.0; only_if_learned(shape.len())].into(),
+            residual: vec![0.0; only_if_learned(shape.outputs)].into(),
+            learning_chunk: None,
+        }
+    }
+
+    /// Residual of an anchor, by the weights that were read last, seen from the keyframe that spawned it; empty when
+    /// nothing is learned.
+    pub fn residual_at_spawn(&mut self, header: &AnchorHeader, feature: &AnchorFeature) -> &[f32] {
+        if !self.weights.is_empty() {
+            let position_m = header.position_in_keyframe_m;
+            residual_at_spawn(self.shape, &self.weights, feature, position_m, &mut self.residual);
+        }
+        &self.residual
+    }
+
+    /// The weights that were read last, as they are stored.
+    pub fn stored(&self) -> DecoderParams<'_> {
+        if self.weights.is_empty() { DecoderParams::EXPLICIT } else { DecoderParams::residual(&self.weights) }
+    }
+}
+
+impl Mapper {
+    /// Gives the chunk of a keyframe a decoder when it is the first of its chunk: that of the chunk before, which is
+    /// frozen from now on, or a fresh one.
+    pub(super) fn begin_decoder(&mut self, ordinal: u32) {
+        let chunk = ordinal / CHUNK_KEYFRAMES;
+        let previous = self.decoders.learning_chunk.replace(chunk);
+        if self.decoders.weights.is_empty() || previous == Some(chunk) {
+            return;
+        }
+        let is_known = previous.is_some_and(|previous| self.read_decoder(previous));
+        if !is_known {
+            let ChunkDecoders { shape, weights, .. } = &mut self.decoders;
+            fill_fresh_decoder(*shape, self.settings.seed, chunk, weights);
+        }
+        let row = self.chunk_row(ordinal);
+        self.backend.write_decoder(row, &self.decoders.weights);
+    }
+
+    /// Row of the decoder that learns.
+    pub(super) fn learning_row(&self) -> Option<u16> {
+        self.decoders.learning_chunk.map(|chunk| self.chunk_row(chunk * CHUNK_KEYFRAMES))
+    }
+
+    /// Fetches a chunk's decoder; false when nothing is learned.
+    pub(super) fn read_decoder(&mut self, chunk: u32) -> bool {
+        let row = self.chunk_row(chunk * CHUNK_KEYFRAMES);
+        !self.decoders.weights.is_empty() && self.backend.read_decoder(row, &mut self.decoders.weights)
+    }
+}

@@ -1,0 +1,140 @@
+//! What ends: Gaussians that are faint or oversized when their keyframe leaves the window.
+
+use super::mapper::{CHUNK_KEYFRAMES, Mapper};
+use super::scratch::{NO_GAUSSIAN, Staging};
+use crate::splat::GaussianParams;
+use kilogs_core::map::AnchorHeader;
+use kilogs_core::map::anchor::GAUSSIAN_PARAMS;
+use kilogs_core::map::decoder::with_residual;
+
+impl Mapper {
+    /// Drops the faint and the oversized Gaussians of the keyframe that has just left the window.
+    pub(super) fn prune_after_window(&mut self) {
+        if let Some(left) = self.images.newest(self.settings.window).map(|kept| kept.keyframe.ordinal) {
+            self.prune(left);
+        }
+    }
+
+    /// Drops the faint and the oversized Gaussians of a keyframe.
+    pub(super) fn prune(&mut self, ordinal: u32) {
+        let focal_px = self.images.camera().fx as f32;
+        let max_sigma_px = self.settings.max_width_ratio * self.images.camera().width as f32 / WIDTH_IN_SIGMAS;
+        let limits = PruneLimits {
+            min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
+            max_sigma_z1: max_sigma_px / focal_px,
+        };
+        self.stage(|of_anchor| of_anchor == ordinal);
+        self.read_staged();
+        self.read_decoder(ordinal / CHUNK_KEYFRAMES);
+        let k = self.capacity.gaussians_per_anchor;
+        // Anchors that lost all Gaussians go to the front, those that lost some behind them.
+        let mut n_ended = 0;
+        let mut n_changed = 0;
+        for nth in 0..self.staging.slots.len() {
+            let Staging { headers, params, features, .. } = &mut self.staging;
+            let residual = self.decoders.residual_at_spawn(&headers[nth], &features[nth]);
+            let before = headers[nth].n_gaussians;
+            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], residual, &limits);
+            self.counters.gaussians_pruned += u64::from(before - after);
+            if after == before && after > 0 {
+                continue;
+            }
+            self.staging.swap(n_changed, nth);
+            if after == 0 {
+                self.staging.swap(n_ended, n_changed);
+                n_ended += 1;
+            }
+            n_changed += 1;
+        }
+        let changed = n_ended..n_changed;
+        let Staging { slots, headers, params, features, .. } = &self.staging;
+        let params = &params[changed.start * k..changed.end * k];
+        self.backend.write_anchors(&slots[changed.clone()], &headers[changed.clone()], params);
+        self.backend.write_features(&slots[changed.clone()], &features[changed]);
+        self.forget(0..n_ended);
+        self.counters.anchors_pruned += n_ended as u64;
+        self.staging.clear();
+    }
+}
+
+/// A Gaussian is as wide as three standard deviations either way.
+const WIDTH_IN_SIGMAS: f32 = 6.0;
+
+struct PruneLimits {
+    min_opacity_logit: f32,
+    /// Largest standard deviation over depth, seen from the keyframe that spawned it.
+    max_sigma_z1: f32,
+}
+
+/// Moves the Gaussians worth keeping to the front; how many there are. One that moves looks as before from the keyframe
+/// that spawned it: what the decoder adds at its new place instead of the old one is taken off.
+fn keep_good(
+    header: &mut AnchorHeader,
+    gaussians: &mut [GaussianParams],
+    residual: &[f32],
+    limits: &PruneLimits,
+) -> u8 {
+    let residual_of = |nth: usize| residual.get(nth * GAUSSIAN_PARAMS..(nth + 1) * GAUSSIAN_PARAMS).unwrap_or_default();
+    let mut kept = 0;
+    for nth in 0..usize::from(header.n_gaussians) {
+        let shown = with_residual(&gaussians[nth], residual_of(nth));
+        let depth_m = header.position_in_keyframe_m[2] + shown.offset[2] * header.log_extent[2].exp();
+        let widest_m = (0..3).map(|i| (header.log_extent[i] + shown.log_scale[i]).exp()).fold(0.0, f32::max);
+        let is_wide = widest_m > limits.max_sigma_z1 * depth_m.abs();
+        if shown.opacity_logit >= limits.min_opacity_logit && !is_wide {
+            if kept != nth {
+                gaussians[kept] = without_residual(&shown, residual_of(kept));
+            }
+            kept += 1;
+        }
+    }
+    gaussians[kept..].fill(NO_GAUSSIAN);
+    header.n_gaussians = kept as u8;
+    kept as u8
+}
+
+fn without_residual(shown: &GaussianParams, residual: &[f32]) -> GaussianParams {
+    let mut negative = [0.0; GAUSSIAN_PARAMS];
+    negative.iter_mut().zip(residual).for_each(|(negative, residual)| *negative = -residual);
+    with_residual(shown, &negative)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::scratch::NO_HEADER;
+
+    const LIMITS: PruneLimits = PruneLimits { min_opacity_logit: -1.0, max_sigma_z1: 1.0 };
+    const HEADER: AnchorHeader = AnchorHeader { position_in_keyframe_m: [0.0, 0.0, 10.0], n_gaussians: 3, ..NO_HEADER };
+
+    fn gaussian(opacity_logit: f32, log_scale: f32) -> GaussianParams {
+        GaussianParams { opacity_logit, log_scale: [log_scale; 3], ..NO_GAUSSIAN }
+    }
+
+    fn check(gaussians: [GaussianParams; 3], residual: &[f32], expected: &[GaussianParams]) {
+        let (mut header, mut kept) = (HEADER, gaussians);
+        let n = keep_good(&mut header, &mut kept, residual, &LIMITS);
+        assert_eq!((usize::from(n), usize::from(header.n_gaussians)), (expected.len(), expected.len()));
+        assert_eq!(&kept[..expected.len()], expected, "{gaussians:?}");
+        assert!(kept[expected.len()..].iter().all(|gaussian| *gaussian == NO_GAUSSIAN));
+    }
+
+    #[test]
+    fn the_faint_and_the_oversized_end_and_the_others_move_up() {
+        let [faint, wide, good] = [gaussian(-2.0, 0.0), gaussian(0.0, 3.0), gaussian(0.5, 1.0)];
+        check([good, good, good], &[], &[good; 3]);
+        check([faint, good, wide], &[], &[good]);
+        check([faint, wide, faint], &[], &[]);
+    }
+
+    #[test]
+    fn what_is_shown_decides_and_a_gaussian_that_moves_looks_as_before() {
+        let good = gaussian(0.5, 1.0);
+        // The decoder makes the first faint, and adds half to the last one's opacity, which is to be the first.
+        let mut residual = [0.0; 3 * GAUSSIAN_PARAMS];
+        residual[10] = -2.0;
+        residual[2 * GAUSSIAN_PARAMS + 10] = 0.5;
+        let moved = gaussian(0.5 + 0.5 + 2.0, 1.0);
+        check([good, gaussian(-2.0, 0.0), good], &residual, &[moved]);
+    }
+}
