@@ -2,7 +2,7 @@
 //!
 //! A device that is asked for by name has to work; a device that `auto` finds may fail, and then the CPU computes.
 
-use crate::budget::ComputeMemory;
+use crate::budget::{ComputeMemory, row_behind_buffer};
 use crate::run_error::RunError;
 use crate::seal;
 use crate::splat::cpu::{CpuBackend, SimdLevel};
@@ -158,10 +158,7 @@ impl Compute {
         };
         match opened {
             Ok(backend) => Ok(backend),
-            Err(error) if self.is_explicit => Err(match error {
-                DeviceError::ArenaFull(_) | DeviceError::BufferTooLarge { .. } => RunError::Usage(error.to_string()),
-                _ => RunError::Device(error.to_string()),
-            }),
+            Err(error) if self.is_explicit => Err(run_error(&error, &plan.capacities)),
             Err(error) => {
                 log::warn!("{error}. The CPU computes");
                 self.state.has_fallen_back.store(true, Relaxed);
@@ -197,6 +194,16 @@ impl Compute {
         });
         Ok(Box::new(FallbackBackend::new(backend, substitute, Arc::clone(&self.state.has_fallen_back))))
     }
+}
+
+/// A row that is too large is the budget's fault, everything else the device's.
+fn run_error(error: &DeviceError, capacities: &Capacities) -> RunError {
+    let too_large = match error {
+        DeviceError::ArenaFull(full) => full.row,
+        DeviceError::BufferTooLarge { name, .. } => name,
+        _ => return RunError::Device(error.to_string()),
+    };
+    RunError::Usage(format!("[{}] is too large: {error}", row_behind_buffer(too_large, capacities)))
 }
 
 fn cpu_backend(plan: &BackendPlan) -> Result<Box<dyn SplatBackend>, String> {

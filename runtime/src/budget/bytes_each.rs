@@ -5,6 +5,7 @@ use crate::mapping::{MapperSettings, capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
 use crate::splat::cpu::CpuBackend;
 use crate::splat::device::{HostCopy, arena_bytes};
+use crate::splat::program::buffer_plan;
 use crate::splat::{Capacities, MemoryRow};
 use kilogs_core::bundle::ReducedSystem;
 use kilogs_core::camera::Pinhole;
@@ -195,31 +196,55 @@ fn each(plan: &[MemoryRow], name: &str, row: Row) -> u64 {
     part.map_or(0, |part| if row == Row::SplatViews { part.bytes() as u64 } else { part.bytes_per_element as u64 })
 }
 
+/// Rows that pay for buffers of the arena, beside the view.
+const ARENA_ROWS: [Row; 7] = [
+    Row::MapAnchors,
+    Row::MapKeyframes,
+    Row::MapKeyframeImages,
+    Row::MapChunks,
+    Row::SplatVisibleGaussians,
+    Row::SplatRowEntries,
+    Row::SplatPairs,
+];
+
+/// The same capacities with one element of `row`.
+fn with_one(row: Row, capacities: &Capacities) -> Capacities {
+    let mut shrunk = *capacities;
+    match row {
+        Row::MapAnchors => shrunk.anchors = 1,
+        Row::MapKeyframes => shrunk.keyframe_rows = 1,
+        Row::MapKeyframeImages => shrunk.exposure_slots = 1,
+        Row::MapChunks => shrunk.chunk_rows = 1,
+        Row::SplatVisibleGaussians => shrunk.visible_gaussians = 1,
+        Row::SplatRowEntries => shrunk.row_entries = 1,
+        Row::SplatPairs => shrunk.pairs = 1,
+        _ => {}
+    }
+    shrunk
+}
+
 /// Bytes of the arena for one element of `row`: what the arena would shrink by with one element instead of all, and the
 /// rest of it for the view.
 fn arena_bytes_each(row: Row, budget: &Budget, capacities: &Capacities) -> u64 {
     let all = arena_bytes(capacities);
-    let share = |row: Row, shrink: fn(&mut Capacities)| {
-        let mut shrunk = *capacities;
-        shrink(&mut shrunk);
-        all.saturating_sub(arena_bytes(&shrunk)).div_ceil(budget.entry(row).capacity.max(1))
+    let share = |row: Row| {
+        all.saturating_sub(arena_bytes(&with_one(row, capacities))).div_ceil(budget.entry(row).capacity.max(1))
     };
-    let shares: [(Row, fn(&mut Capacities)); 7] = [
-        (Row::MapAnchors, |c| c.anchors = 1),
-        (Row::MapKeyframes, |c| c.keyframe_rows = 1),
-        (Row::MapKeyframeImages, |c| c.exposure_slots = 1),
-        (Row::MapChunks, |c| c.chunk_rows = 1),
-        (Row::SplatVisibleGaussians, |c| c.visible_gaussians = 1),
-        (Row::SplatRowEntries, |c| c.row_entries = 1),
-        (Row::SplatPairs, |c| c.pairs = 1),
-    ];
-    match shares.iter().find(|(of, _)| *of == row) {
-        Some(&(of, shrink)) => share(of, shrink),
-        None => {
-            let others = shares.iter().map(|&(of, shrink)| share(of, shrink) * budget.entry(of).capacity);
-            all.saturating_sub(others.sum())
-        }
+    if ARENA_ROWS.contains(&row) {
+        return share(row);
     }
+    let others: u64 = ARENA_ROWS.iter().map(|&of| share(of) * budget.entry(of).capacity).sum();
+    all.saturating_sub(others)
+}
+
+/// The row of the budget behind a buffer of the arena: the one whose capacity it grows with.
+pub fn row_behind_buffer(buffer: &str, capacities: &Capacities) -> Row {
+    let bytes = |capacities: &Capacities| {
+        buffer_plan(capacities).iter().find(|row| row.name == buffer).map_or(0, MemoryRow::bytes)
+    };
+    let grows = ARENA_ROWS.iter().min_by_key(|&&row| bytes(&with_one(row, capacities)));
+    let is_meant = |row: &&Row| bytes(&with_one(**row, capacities)) < bytes(capacities);
+    grows.filter(is_meant).copied().unwrap_or(Row::SplatViews)
 }
 
 #[cfg(test)]
@@ -266,5 +291,17 @@ mod tests {
             // Shares are rounded up to bytes per element.
             assert!((arena..arena + (4 << 20)).contains(&planned), "{planned} for an arena of {arena}");
         }
+    }
+
+    #[test]
+    fn a_buffer_leads_to_its_row() {
+        let capacities = Budget::builtin().expect("valid").splat_capacities(&input(ComputeMemory::Cpu));
+        let check = |buffer: &str, row: Row| assert_eq!(row_behind_buffer(buffer, &capacities), row, "{buffer}");
+        check("splat.device.params", Row::MapAnchors);
+        check("splat.device.pairs", Row::SplatPairs);
+        check("splat.device.entries", Row::SplatRowEntries);
+        check("splat.device.splats", Row::SplatVisibleGaussians);
+        check("splat.device.planes", Row::SplatViews);
+        check("no such buffer", Row::SplatViews);
     }
 }

@@ -13,7 +13,7 @@ mod plan;
 mod rows;
 mod usage;
 
-pub use bytes_each::{ComputeMemory, MappingPlan, PlanInput};
+pub use bytes_each::{ComputeMemory, MappingPlan, PlanInput, row_behind_buffer};
 pub use command::{BudgetArgs, PlanCameraArgs, run};
 pub use human_size::{HumanBytes, NotASize, parse_bytes};
 pub use plan::{Domain, Plan, PlanRow};

@@ -197,7 +197,9 @@ impl VulkanExecutor {
 
     fn is_inside(&self, buffer: Buffer, offset: usize, len: usize) -> bool {
         let bytes = self.block.bytes(buffer as usize);
-        offset % 4 == 0 && len % 4 == 0 && offset.checked_add(len).is_some_and(|end| end as u64 <= bytes)
+        offset.is_multiple_of(4)
+            && len.is_multiple_of(4)
+            && offset.checked_add(len).is_some_and(|end| end as u64 <= bytes)
     }
 
     fn copy(&self, commands: vk::CommandBuffer, from: (vk::Buffer, usize), to: (vk::Buffer, usize), len: usize) {
