@@ -77,6 +77,7 @@ fn train(
     let rows = mapper.capacity().keyframe_rows.min((mapper.capacity().chunk_rows.max(2) - 1) * 100);
     let mut trainer = Trainer {
         step: plan.settings.mapping.mapper.step,
+        coarse_resolution: plan.settings.mapping.mapper.resolution,
         store: &store,
         images: TrainingImages::new(scene.images, scene.camera, kept_bytes(plan)),
         views: &scene.views,

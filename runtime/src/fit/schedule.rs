@@ -2,16 +2,17 @@
 
 use crate::splat::{LearningRate, LearningRates, StepSettings};
 
-/// Training resolutions relative to the camera's, and the progress at which each begins.
-const RESOLUTIONS: [(f64, f64); 3] = [(0.0, 0.25), (0.2, 0.5), (0.5, 1.0)];
+/// Progress up to which steps are taken at the resolution of the insertion, which costs a large image a third of the
+/// time. A quarter of the resolution teaches nothing: on the small KITTI 00 set a fifth of the steps at a quarter and
+/// three tenths at half leave 0.7 dB less than all of them at native resolution.
+const COARSE_UNTIL: f64 = 0.2;
 
 /// Progress at which the map is pruned, and bare and wrong places are inserted once more.
 pub(super) const REVISITS: [f64; 2] = [0.2, 0.5];
 
-/// Training resolution at a progress in [0, 1].
-pub(super) fn resolution(progress: f64) -> f64 {
-    let begun = RESOLUTIONS.iter().rev().find(|(begins, _)| progress >= *begins);
-    begun.map_or(RESOLUTIONS[0].1, |(_, resolution)| *resolution)
+/// Training resolution at a progress in [0, 1]; `coarse` is that of the insertion.
+pub(super) fn resolution(progress: f64, coarse: f64) -> f64 {
+    if progress < COARSE_UNTIL { coarse } else { 1.0 }
 }
 
 /// The mapper's step, faster at first and slower in the end than a drive's, of which nobody knows when it ends.
@@ -53,8 +54,8 @@ mod tests {
 
     #[test]
     fn training_ends_at_native_resolution() {
-        for (progress, expected) in [(0.0, 0.25), (0.19, 0.25), (0.2, 0.5), (0.5, 1.0), (1.0, 1.0), (2.0, 1.0)] {
-            assert_eq!(resolution(progress), expected, "{progress}");
+        for (progress, expected) in [(0.0, 0.5), (0.19, 0.5), (0.2, 1.0), (1.0, 1.0), (2.0, 1.0)] {
+            assert_eq!(resolution(progress, 0.5), expected, "{progress}");
         }
     }
 }

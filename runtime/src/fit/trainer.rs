@@ -43,6 +43,8 @@ pub(super) struct Trainer<'a> {
     pub(super) native: Pinhole,
     pub(super) mounting: Option<Mounting>,
     pub(super) step: StepSettings,
+    /// Resolution of the insertion relative to the camera's, and of the first steps.
+    pub(super) coarse_resolution: f64,
     pub(super) clock: Clock,
     pub(super) usage: &'a Usage,
     /// Most views that are trained together.
@@ -135,7 +137,8 @@ impl Trainer<'_> {
 
     fn train(&mut self, active: Active, progress: f64) -> Result<(), RunError> {
         let channels = self.images.channels();
-        let (camera, pixels) = self.images.at(active.view_idx, schedule::resolution(progress))?;
+        let (camera, pixels) =
+            self.images.at(active.view_idx, schedule::resolution(progress, self.coarse_resolution))?;
         let target = if channels == 1 { TargetImage::Gray8(pixels) } else { TargetImage::Rgb8(pixels) };
         let world_from_camera = self.views[active.view_idx].world_from_camera;
         let given = GivenView { ordinal: active.ordinal, world_from_camera, camera, target };
