@@ -8,7 +8,8 @@ mod work;
 use clap::Parser;
 use kilogs::splat::cpu::{CpuBackend, SimdLevel};
 use kilogs::splat::{
-    Capacities, RenderTarget, SplatBackend, StageTimes, StepReport, StepSettings, TargetImage, TrainingView,
+    Capacities, DecoderRates, RenderTarget, SplatBackend, StageTimes, StepReport, StepSettings, TargetImage,
+    TrainingView,
 };
 use machine::Machine;
 use scene::{GAUSSIANS_PER_ANCHOR, SIZES, Scene, Size};
@@ -33,6 +34,9 @@ struct Options {
     /// Seed of the scenes.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Train a learned decoder, too.
+    #[arg(long)]
+    decoder: bool,
     /// Given by `cargo bench`.
     #[arg(long, hide = true)]
     bench: bool,
@@ -54,7 +58,7 @@ fn main() {
             if !wanted(&name, &options.backend) {
                 continue;
             }
-            match open(capacities(size)) {
+            match open(Capacities { learned_decoder: options.decoder, ..capacities(size) }) {
                 Ok(mut backend) => print_table(&name, size, &scene, backend.as_mut(), &machine, options.seconds),
                 Err(reason) => println!("{} on {name}: left out, {reason}\n", size.name()),
             }
@@ -97,7 +101,11 @@ struct Measured {
 }
 
 fn measure(backend: &mut dyn SplatBackend, training: &TrainingView<'_>, seconds: f64) -> Measured {
-    let settings = StepSettings::direct(0.0);
+    let mut settings = StepSettings::direct(0.0);
+    if backend.capacities().learned_decoder {
+        settings.rates.decoder = DecoderRates::METHOD;
+        settings.decoder_row = Some(0);
+    }
     // Caches, page faults and the device's pipelines.
     let report = backend.train_step(training, &settings);
     backend.train_step(training, &settings);

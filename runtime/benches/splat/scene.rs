@@ -5,7 +5,8 @@ use kilogs::splat::cpu::project::{CameraConstants, CameraFromKeyframe, project};
 use kilogs::splat::{AnchorHeader, GaussianParams, SplatBackend, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
-use kilogs_core::map::lod;
+use kilogs_core::map::decoder::fill_fresh_decoder;
+use kilogs_core::map::{DecoderShape, lod};
 use kilogs_core::math::Rng;
 
 /// Gaussians per anchor, as in the shipped budget.
@@ -116,6 +117,11 @@ impl Scene {
         let slots: Vec<u32> = (0..self.headers.len() as u32).collect();
         let n_refused = backend.write_anchors(&slots, &self.headers, &self.params);
         assert_eq!(n_refused, 0, "the scene fits the capacities that were made for it");
+        if backend.capacities().learned_decoder {
+            let shape = DecoderShape::new(GAUSSIANS_PER_ANCHOR);
+            let mut weights = vec![0.0; shape.len()];
+            assert!(fill_fresh_decoder(shape, 0, 0, &mut weights) && backend.write_decoder(0, &weights));
+        }
     }
 
     /// Sum over all Gaussians of the pixels in which their alpha reaches 1/255: the area of an ellipse,

@@ -4,7 +4,8 @@
 //! operations are those of the formulas (a multiply-add is two), exponentials and roots counted as 10.
 
 use crate::scene::{GAUSSIANS_PER_ANCHOR, Size};
-use kilogs::splat::{AnchorHeader, GaussianParams, RenderStats};
+use kilogs::splat::{AnchorHeader, DecoderShape, GaussianParams, RenderStats};
+use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS};
 
 /// Bytes and operations.
 #[derive(Clone, Copy)]
@@ -75,11 +76,26 @@ const UPDATE_FLOPS: f64 = 1100.0;
 /// Direction of a ray, two coordinates of the table, four texels.
 const SKY_FLOPS: f64 = 80.0;
 
+/// A Gaussian's share of its anchor's feature.
+const FEATURE_BYTES: f64 = (FEATURE_LEN * size_of::<f32>() / GAUSSIANS_PER_ANCHOR) as f64;
+/// A Gaussian's share of both layers; on the way back twice that, and the first layer once more.
+const DECODER_FLOPS: f64 =
+    2.0 * (HIDDEN * (INPUTS + DecoderShape::new(GAUSSIANS_PER_ANCHOR).outputs) / GAUSSIANS_PER_ANCHOR) as f64;
+
 /// The least work of a stage; `None` for stages that this page does not know.
 pub fn least_work(stage: &str, n: &Counts) -> Option<Work> {
     let work = |bytes: f64, flops: f64| Some(Work { bytes, flops });
     match stage {
         "cull" => work(n.gaussians * GAUSSIAN_BYTES, n.gaussians * CULL_FLOPS),
+        // Every anchor of the scenes is in view: features and stored numbers in, numbers out.
+        "decode" => work(
+            n.gaussians * (FEATURE_BYTES + GAUSSIAN_BYTES + size_of::<GaussianParams>() as f64),
+            n.gaussians * DECODER_FLOPS,
+        ),
+        "decode_backward" => work(
+            n.gaussians * (6.0 * FEATURE_BYTES + size_of::<GaussianParams>() as f64),
+            n.gaussians * 2.5 * DECODER_FLOPS,
+        ),
         "project" => work(n.visible * (GAUSSIAN_BYTES + SPLAT_BYTES + KEY_BYTES), n.visible * PROJECT_FLOPS),
         "sort" => work(n.visible * 2.0 * KEY_BYTES, 0.0),
         "bin" => work(n.visible * SPLAT_BYTES + n.pairs * PAIR_BYTES, n.visible * 20.0),
