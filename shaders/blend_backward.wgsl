@@ -89,11 +89,16 @@ fn walk_row(
     (*r).transmittance = select(before, select(-abs(before), after, goes_on), hit.seen);
 }
 
-fn add(splat: u32, which: u32, values: vec4<f32>, scale: f32, limit: f32) {
+fn add(splat: u32, which: u32, values: vec4<f32>, scale: f32, limits: Limits) {
     let sum = (values.x + values.y) + (values.z + values.w);
-    let fixed = i32(round(clamp(sum * scale, -limit, limit)));
-    if fixed != 0 {
-        atomicAdd(&splat_sums[splat * N_SPLAT_GRADS + which], fixed);
+    let value = clamp(sum * scale, -limits.largest, limits.largest);
+    let whole = select(round(value), floor(value), limits.has_fraction);
+    let at = (splat * N_SPLAT_GRADS + which) * 2u;
+    if whole != 0.0 {
+        atomicAdd(&splat_sums[at], i32(whole));
+    }
+    if limits.has_fraction {
+        atomicAdd(&splat_sums[at + 1u], i32((value - whole) * FIXED_FRACTION));
     }
 }
 
@@ -130,17 +135,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         walk_row(splat, circle, dx, dy + 2.0, &row2, &sums);
         walk_row(splat, circle, dx, dy + 3.0, &row3, &sums);
         let scales = fixed_scales(splat, bounds);
-        let limit = FIXED_LIMIT / n_blocks_of(splat);
-        add(at, 0u, sums.total, scales.x, limit);
-        add(at, 1u, sums.by_s, scales.x, limit);
-        add(at, 2u, sums.by_t, scales.x, limit);
-        add(at, 3u, sums.by_ss, scales.x, limit);
-        add(at, 4u, sums.by_st, scales.x, limit);
-        add(at, 5u, sums.by_tt, scales.x, limit);
-        add(at, 6u, sums.red, scales.y, limit);
-        add(at, 7u, sums.green, scales.y, limit);
-        add(at, 8u, sums.blue, scales.y, limit);
-        add(at, 9u, sums.depth, scales.z, limit);
+        let limits = limits_of(splat);
+        add(at, 0u, sums.total, scales.x, limits);
+        add(at, 1u, sums.by_s, scales.x, limits);
+        add(at, 2u, sums.by_t, scales.x, limits);
+        add(at, 3u, sums.by_ss, scales.x, limits);
+        add(at, 4u, sums.by_st, scales.x, limits);
+        add(at, 5u, sums.by_tt, scales.x, limits);
+        add(at, 6u, sums.red, scales.y, limits);
+        add(at, 7u, sums.green, scales.y, limits);
+        add(at, 8u, sums.blue, scales.y, limits);
+        add(at, 9u, sums.depth, scales.z, limits);
         let alive = max(max(row0.transmittance, row1.transmittance), max(row2.transmittance, row3.transmittance));
         if all(alive <= vec4<f32>()) {
             break;

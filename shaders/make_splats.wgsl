@@ -5,8 +5,6 @@
 @group(0) @binding(7) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(8) var<storage, read_write> order: array<u32>;
 
-const LOG2_E: f32 = 1.44269504088896;
-
 // Not a number is no ordinary one.
 fn is_ordinary(v: f32) -> bool {
     return abs(v) < 1e30;
@@ -24,7 +22,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let g = decode(position, extent_of(anchor), effective_numbers(c));
     let p = project(placement, g);
     let band = band_opacity(level_of(anchor), length(in_camera(placement, position)));
-    let log2_opacity = log2(max(g.opacity * band, 1e-30));
+    let log2_opacity = binary_logarithm(max(g.opacity * band, 1e-30));
     let reach = log2_opacity - LOG2_MIN_ALPHA;
     let conic = vec3<f32>(-0.5, -1.0, -0.5) * LOG2_E * p.conic;
     // q <= ln(255 opacity) reaches sqrt(2 q variance) from the mean.

@@ -11,9 +11,10 @@ var<workgroup> partial: array<f32, GROUP>;
 
 // Takes a sum, and leaves 0 for the next view.
 fn take(c: u32, which: u32) -> f32 {
-    let at = c * N_SPLAT_GRADS + which;
-    let value = f32(splat_sums[at]);
+    let at = (c * N_SPLAT_GRADS + which) * 2u;
+    let value = f32(splat_sums[at]) + f32(splat_sums[at + 1u]) / FIXED_FRACTION;
     splat_sums[at] = 0;
+    splat_sums[at + 1u] = 0;
     return value;
 }
 
@@ -79,7 +80,7 @@ fn backward(c: u32) -> f32 {
     let p = project(placement, g);
     let grad = project_backward(placement, g, p, splat_gradient(c, splats[c], g.opacity, p));
     var out = decode_backward(extent, numbers, g, grad);
-    let scale = exp(numbers.log_scale);
+    let scale = exponential3(numbers.log_scale);
     let from_mean = scale - (scale.x + scale.y + scale.z) * (1.0 / 3.0);
     let side = sign(from_mean);
     let mean_side = (side.x + side.y + side.z) * (1.0 / 3.0);

@@ -18,12 +18,14 @@ struct Numbers {
     color: vec3<f32>,
 }
 
-fn sigmoid(x: f32) -> f32 {
-    return 1.0 / (1.0 + exp(-x));
+// Logistic function of four numbers.
+fn sigmoid(x: vec4<f32>) -> vec4<f32> {
+    return 1.0 / (1.0 + exponential(-x));
 }
 
-fn sigmoid3(x: vec3<f32>) -> vec3<f32> {
-    return 1.0 / (1.0 + exp(-x));
+// Exponentials of three numbers.
+fn exponential3(x: vec3<f32>) -> vec3<f32> {
+    return exponential(vec4<f32>(x, 0.0)).xyz;
 }
 
 fn inverse_quaternion_norm(q: vec4<f32>) -> f32 {
@@ -31,12 +33,13 @@ fn inverse_quaternion_norm(q: vec4<f32>) -> f32 {
 }
 
 fn decode(position: vec3<f32>, extent: vec3<f32>, n: Numbers) -> Decoded {
+    let logistic = sigmoid(vec4<f32>(n.color, n.opacity));
     return Decoded(
         position + n.offset * extent,
         n.rotation * inverse_quaternion_norm(n.rotation),
-        extent * exp(n.log_scale),
-        sigmoid(n.opacity),
-        sigmoid3(n.color),
+        extent * exponential3(n.log_scale),
+        logistic.w,
+        logistic.xyz,
     );
 }
 

@@ -3,6 +3,11 @@
 // Sums stay below this, so that they never wrap.
 const FIXED_LIMIT: f32 = 1073741824.0;
 
+// Parts of a unit that sums over many blocks keep in a second integer: their units are coarse.
+const FIXED_FRACTION: f32 = 1024.0;
+// Blocks from which on a splat's sums have that second integer.
+const MANY_BLOCKS: f32 = 12.0;
+
 // Blocks that a splat can touch.
 fn n_blocks_of(splat: Splat) -> f32 {
     let columns = (splat.columns_px >> 16u) / BLOCK_PX - (splat.columns_px & 0xffffu) / BLOCK_PX + 1u;
@@ -18,6 +23,17 @@ fn fixed_scales(splat: Splat, bounds: Bounds) -> vec3<f32> {
     // A bound that is not a number or infinite is that of a loss that is: nothing is learnt from it.
     let usable = (largest > vec3<f32>(1e-28)) & (largest < vec3<f32>(1e28));
     return select(vec3<f32>(), FIXED_LIMIT / (per_block * largest), usable);
+}
+
+// How large a block's part of a splat's sum may be, and whether it has parts of units.
+struct Limits {
+    largest: f32,
+    has_fraction: bool,
+}
+
+fn limits_of(splat: Splat) -> Limits {
+    let n_blocks = n_blocks_of(splat);
+    return Limits(FIXED_LIMIT / n_blocks, n_blocks >= MANY_BLOCKS);
 }
 
 // Coordinates in which the ellipse of a splat is the unit circle: s = (dx - slope dy) / half, t = dy / height. Moments

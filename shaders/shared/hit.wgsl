@@ -11,13 +11,10 @@ struct Hit {
     seen: vec4<bool>,
 }
 
-// Keeps exp2 within normal numbers far from a splat.
-const MIN_LOG2_ALPHA: f32 = -126.0;
-
 fn hit_row(splat: Splat, dx: vec4<f32>, dy: f32) -> Hit {
     let along_x = splat.conic_xx * dx + splat.conic_xy * dy;
     let log2_alpha = along_x * dx + (splat.conic_yy * dy * dy + splat.log2_opacity);
-    let uncapped = exp2(max(log2_alpha, vec4<f32>(MIN_LOG2_ALPHA)));
+    let uncapped = power_of_2(log2_alpha);
     return Hit(dx, dy, uncapped, min(uncapped, vec4<f32>(MAX_ALPHA)), log2_alpha > vec4<f32>(LOG2_MIN_ALPHA));
 }
 

@@ -88,7 +88,7 @@ kernels! {
         [read params, read candidates, read counters, write effective];
     /// Splat and sort key of every candidate.
     MakeSplats = "make_splats", GROUP,
-        ["counters_atomic", "anchor", "lod", "decode", "effective", "project", "splat"],
+        ["counters_atomic", "anchor", "lod", "exponential", "decode", "effective", "project", "splat"],
         [read anchors, read keyframes, read candidates, read effective, write counters, write splats, write keys,
          write order];
     /// How often each digit occurs in each piece of the keys.
@@ -117,17 +117,17 @@ kernels! {
         [read splats, read entry_starts, read entries, read pair_offsets, read tile_starts, write pairs,
          write counters];
     /// Front-to-back blending over nothing.
-    Blend = "blend", BLEND_GROUP, ["splat", "pair", "hit"], [read splats, read tile_starts, read pairs, write planes];
+    Blend = "blend", BLEND_GROUP, ["splat", "pair", "exponential", "hit"], [read splats, read tile_starts, read pairs, write planes];
     /// Puts the background behind the picture.
     ComposeSky = "compose_sky", GROUP, ["sky"], [read texels, write planes];
     /// Largest magnitudes of the loss gradient.
     BoundGradients = "bound_gradients", GROUP, ["bounds_atomic"], [read planes, read upstream, write bounds];
     /// Gradients of blending, summed per splat.
-    BlendBackward = "blend_backward", BLEND_GROUP, ["splat", "pair", "hit", "bounds", "fixed"],
+    BlendBackward = "blend_backward", BLEND_GROUP, ["splat", "pair", "exponential", "hit", "bounds", "fixed"],
         [read splats, read tile_starts, read pairs, read planes, read upstream, read bounds, write splat_sums];
     /// Gradients with respect to the numbers of every candidate.
     SplattingBackward = "splatting_backward", GROUP,
-        ["counters", "anchor", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed"],
+        ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed"],
         [read anchors, read keyframes, read candidates, read counters, read splats, read bounds, write splat_sums,
          write effective, write anisotropy_sums];
     /// Spreads the gradients of the background over its texels.

@@ -100,8 +100,8 @@ buffers! {
     Upstream = "splat.device.upstream", |s| s.training_pixels * N_PLANES, 4;
     /// Largest magnitudes of them.
     Bounds = "splat.device.bounds", |_| 1, 16;
-    /// Fixed-point sums of the splats' gradients; 0 between views.
-    SplatSums = "splat.device.splat_sums", |s| s.candidates * N_SPLAT_GRADS as usize, 4;
+    /// Fixed-point sums of the splats' gradients, two limbs each; 0 between views.
+    SplatSums = "splat.device.splat_sums", |s| 2 * s.candidates * N_SPLAT_GRADS as usize, 4;
     /// Anisotropies added up by each workgroup of candidates.
     AnisotropySums = "splat.device.anisotropy_sums", |s| s.candidates.div_ceil(GROUP as usize), 4;
     /// Fixed-point sums of the texels' gradients, two limbs each; 0 between views.
