@@ -19,7 +19,12 @@ pub struct WgpuExecutor {
     failure: Arc<Mutex<Option<String>>>,
     name: String,
     device_bytes: usize,
+    /// Uploads since the last submission that was for uploads alone.
+    n_pending: usize,
 }
+
+/// Uploads that are collected before they are submitted: wgpu keeps them all, and searches them for every other one.
+const MAX_PENDING: usize = 64;
 
 impl WgpuExecutor {
     /// Opens the best adapter, compiles all kernels and creates all buffers.
@@ -57,7 +62,7 @@ impl WgpuExecutor {
         let bind_groups = bind_groups.collect();
         let landing = create_landing(&device, 16);
         let name = adapter.get_info().name;
-        Ok(Self { device, queue, pipelines, buffers, bind_groups, landing, failure, name, device_bytes })
+        Ok(Self { device, queue, pipelines, buffers, bind_groups, landing, failure, name, device_bytes, n_pending: 0 })
     }
 
     /// Name of the best adapter, and whether it has memory of its own.
@@ -231,6 +236,11 @@ fn bind(
 impl Executor for WgpuExecutor {
     fn upload(&mut self, buffer: Buffer, offset_bytes: usize, bytes: &[u8]) -> Result<(), DeviceError> {
         self.queue.write_buffer(&self.buffers[buffer as usize], offset_bytes as u64, bytes);
+        self.n_pending += 1;
+        if self.n_pending >= MAX_PENDING {
+            self.n_pending = 0;
+            self.queue.submit([]);
+        }
         self.check("uploading")
     }
 
