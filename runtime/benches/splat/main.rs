@@ -7,12 +7,16 @@ mod work;
 
 use clap::Parser;
 use kilogs::splat::cpu::{CpuBackend, SimdLevel};
+use kilogs::splat::device::{DeviceBackend, Executor};
+use kilogs::splat::vulkan::{DeviceRequest, VulkanDevice, VulkanExecutor};
+use kilogs::splat::wgpu::WgpuExecutor;
 use kilogs::splat::{
     Capacities, DecoderRates, RenderTarget, SplatBackend, StageTimes, StepReport, StepSettings, TargetImage,
     TrainingView,
 };
 use machine::Machine;
 use scene::{GAUSSIANS_PER_ANCHOR, SIZES, Scene, Size};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use work::{Counts, least_work};
 
@@ -70,18 +74,42 @@ type Open = Box<dyn Fn(Capacities) -> Result<Box<dyn SplatBackend>, String>>;
 
 /// Every backend that was built, by name.
 fn backends(threads: usize) -> Vec<(String, Open)> {
+    let mut all = vec![("vulkan".to_owned(), open_vulkan()), ("wgpu".to_owned(), open_wgpu())];
     let levels = [SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Neon, SimdLevel::Baseline];
-    levels
-        .into_iter()
-        .filter(|level| level.is_available())
-        .map(|level| {
-            let open: Open = Box::new(move |capacities| {
-                let backend = CpuBackend::new(capacities, threads, level, |_| ()).map_err(|e| e.to_string())?;
-                Ok(Box::new(backend) as Box<dyn SplatBackend>)
-            });
-            (format!("cpu {level}"), open)
-        })
-        .collect()
+    let processors = levels.into_iter().filter(|level| level.is_available()).map(|level| {
+        let open: Open = Box::new(move |capacities| {
+            let backend = CpuBackend::new(capacities, threads, level, |_| ()).map_err(|e| e.to_string())?;
+            Ok(Box::new(backend) as Box<dyn SplatBackend>)
+        });
+        (format!("cpu {level}"), open)
+    });
+    all.extend(processors);
+    all
+}
+
+/// Device memory that a table may take.
+const DEVICE_BYTES: usize = 4 << 30;
+
+fn open_vulkan() -> Open {
+    Box::new(|capacities| {
+        let device = VulkanDevice::open(DeviceRequest::Any).map(Arc::new).map_err(|e| e.to_string())?;
+        let executor = VulkanExecutor::new(&device, &capacities, DEVICE_BYTES as u64).map_err(|e| e.to_string())?;
+        timed(capacities, executor)
+    })
+}
+
+fn open_wgpu() -> Open {
+    Box::new(|capacities| {
+        let executor = WgpuExecutor::open(&capacities, DEVICE_BYTES).map_err(|e| e.to_string())?;
+        timed(capacities, executor)
+    })
+}
+
+/// A device backend that waits for every stage: what a step takes beyond its stages is the waiting.
+fn timed<E: Executor + 'static>(capacities: Capacities, executor: E) -> Result<Box<dyn SplatBackend>, String> {
+    let mut backend = DeviceBackend::new(capacities, executor).map_err(|e| e.to_string())?;
+    backend.time_stages(true);
+    Ok(Box::new(backend))
 }
 
 fn capacities(size: &Size) -> Capacities {

@@ -63,6 +63,18 @@ fn every_file_is_in_the_table() {
     }
 }
 
+#[test]
+fn the_table_for_people_is_the_kernel_table() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shaders/README.md");
+    let page = std::fs::read_to_string(path).expect("shaders/README.md");
+    let rows: Vec<&str> = page.lines().filter(|line| line.starts_with("| `")).collect();
+    assert_eq!(rows.len(), KERNELS.len(), "one row per kernel");
+    for (row, spec) in rows.iter().zip(KERNELS) {
+        let start = format!("| `{}` | {} | ", spec.name, spec.workgroup_size);
+        assert!(row.starts_with(&start), "{row} should start with {start}");
+    }
+}
+
 /// Checks name, offset and size of every member of one struct in every kernel that has it.
 fn check_layout(name: &str, members: &[(&str, usize)], size: usize) {
     let mut seen = false;
