@@ -6,6 +6,24 @@
 @group(0) @binding(4) var<storage, read> window_sums: array<f32>;
 @group(0) @binding(5) var<storage, read_write> upstream: array<f32>;
 
+// Window sums of four pixels.
+struct Sums {
+    by_x: vec4<f32>,
+    by_xx: vec4<f32>,
+    by_xy: vec4<f32>,
+}
+
+// Constant weights instead of a loop: a table that is indexed is copied for every pixel.
+fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
+    let n = view.width * view.height;
+    let at = tap_of(s, tap);
+    if at < n {
+        (*sums).by_x += weight * window_sums[at];
+        (*sums).by_xx += weight * window_sums[n + at];
+        (*sums).by_xy += weight * window_sums[2u * n + at];
+    }
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if view.ssim_weight == 0.0 {
@@ -15,24 +33,27 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let scale = -view.ssim_weight / f32(3u * n);
     for (var i = id.x; i < n_strips(); i += LOSS_PIECES) {
         let s = strip_of(i);
-        var by_x = vec4<f32>();
-        var by_xx = vec4<f32>();
-        var by_xy = vec4<f32>();
-        for (var tap = 0u; tap < TAPS; tap++) {
-            let at = tap_of(s, tap);
-            if at < n {
-                let weight = weights_of(tap);
-                by_x += weight * window_sums[at];
-                by_xx += weight * window_sums[n + at];
-                by_xy += weight * window_sums[2u * n + at];
-            }
-        }
+        var sums = Sums();
+        add_tap(s, 0u, TAP_0, &sums);
+        add_tap(s, 1u, TAP_1, &sums);
+        add_tap(s, 2u, TAP_2, &sums);
+        add_tap(s, 3u, TAP_3, &sums);
+        add_tap(s, 4u, TAP_4, &sums);
+        add_tap(s, 5u, TAP_5, &sums);
+        add_tap(s, 6u, TAP_6, &sums);
+        add_tap(s, 7u, TAP_7, &sums);
+        add_tap(s, 8u, TAP_8, &sums);
+        add_tap(s, 9u, TAP_9, &sums);
+        add_tap(s, 10u, TAP_10, &sums);
+        add_tap(s, 11u, TAP_11, &sums);
+        add_tap(s, 12u, TAP_12, &sums);
+        add_tap(s, 13u, TAP_13, &sums);
         for (var j = 0u; j < STRIP; j++) {
             let at = pixel_of(s, j);
             if at < n {
                 let x = exposed_planes[channel * n + at];
                 let y = target_planes[channel * n + at];
-                let by_pixel = by_x[j] + 2.0 * x * by_xx[j] + y * by_xy[j];
+                let by_pixel = sums.by_x[j] + 2.0 * x * sums.by_xx[j] + y * sums.by_xy[j];
                 upstream[channel * n + at] += scale * by_pixel;
             }
         }

@@ -36,6 +36,28 @@ fn similarity(mean_x: vec4<f32>, mean_y: vec4<f32>, xx: vec4<f32>, yy: vec4<f32>
     );
 }
 
+// Window sums of four pixels.
+struct Sums {
+    mean_x: vec4<f32>,
+    mean_y: vec4<f32>,
+    xx: vec4<f32>,
+    yy: vec4<f32>,
+    xy: vec4<f32>,
+}
+
+// Constant weights instead of a loop: a table that is indexed is copied for every pixel.
+fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
+    let n = view.width * view.height;
+    let at = tap_of(s, tap);
+    if at < n {
+        (*sums).mean_x += weight * window_sums[at];
+        (*sums).mean_y += weight * window_sums[n + at];
+        (*sums).xx += weight * window_sums[2u * n + at];
+        (*sums).yy += weight * window_sums[3u * n + at];
+        (*sums).xy += weight * window_sums[4u * n + at];
+    }
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if view.ssim_weight == 0.0 {
@@ -45,23 +67,22 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var total = 0.0;
     for (var i = id.x; i < n_strips(); i += LOSS_PIECES) {
         let s = strip_of(i);
-        var mean_x = vec4<f32>();
-        var mean_y = vec4<f32>();
-        var xx = vec4<f32>();
-        var yy = vec4<f32>();
-        var xy = vec4<f32>();
-        for (var tap = 0u; tap < TAPS; tap++) {
-            let at = tap_of(s, tap);
-            if at < n {
-                let weight = weights_of(tap);
-                mean_x += weight * window_sums[at];
-                mean_y += weight * window_sums[n + at];
-                xx += weight * window_sums[2u * n + at];
-                yy += weight * window_sums[3u * n + at];
-                xy += weight * window_sums[4u * n + at];
-            }
-        }
-        let found = similarity(mean_x, mean_y, xx, yy, xy);
+        var sums = Sums();
+        add_tap(s, 0u, TAP_0, &sums);
+        add_tap(s, 1u, TAP_1, &sums);
+        add_tap(s, 2u, TAP_2, &sums);
+        add_tap(s, 3u, TAP_3, &sums);
+        add_tap(s, 4u, TAP_4, &sums);
+        add_tap(s, 5u, TAP_5, &sums);
+        add_tap(s, 6u, TAP_6, &sums);
+        add_tap(s, 7u, TAP_7, &sums);
+        add_tap(s, 8u, TAP_8, &sums);
+        add_tap(s, 9u, TAP_9, &sums);
+        add_tap(s, 10u, TAP_10, &sums);
+        add_tap(s, 11u, TAP_11, &sums);
+        add_tap(s, 12u, TAP_12, &sums);
+        add_tap(s, 13u, TAP_13, &sums);
+        let found = similarity(sums.mean_x, sums.mean_y, sums.xx, sums.yy, sums.xy);
         for (var j = 0u; j < STRIP; j++) {
             let at = pixel_of(s, j);
             if at < n {

@@ -31,7 +31,7 @@ pub struct DeviceBackend<E> {
     planes: Vec<f32>,
     /// Adam steps of each background.
     pub(super) background_steps: Vec<u32>,
-    /// Zeros of one slot.
+    /// Zeros for the moments of [`SLOTS_PER_UPLOAD`] slots.
     zeros: Vec<u8>,
     /// Set when every stage is run and waited for on its own.
     clock: Option<StageClock>,
@@ -83,7 +83,7 @@ impl<E: Executor> DeviceBackend<E> {
             exposures: Exposures::new(capacities.exposure_slots),
             planes: vec![0.0; 3 * n_pixels],
             background_steps: vec![0; capacities.chunk_rows],
-            zeros: vec![0; k * size_of::<GaussianParams>()],
+            zeros: vec![0; SLOTS_PER_UPLOAD * k * size_of::<GaussianParams>()],
             clock: None,
             capacities,
         })
@@ -153,6 +153,20 @@ impl<E: Executor> DeviceBackend<E> {
         }
     }
 
+    /// Fills consecutive slots and restarts their moments.
+    fn upload_anchors(&self, first: usize, anchors: &[DeviceAnchor], params: &[GaussianParams]) -> bool {
+        let at = first * self.capacities.gaussians_per_anchor;
+        let zeros = &self.zeros[..size_of_val(params)];
+        let steps = &self.zeros[..params.len() * size_of::<u32>()];
+        self.device.call(|e| {
+            e.upload(Buffer::Anchors, first * size_of::<DeviceAnchor>(), anchors.as_bytes())?;
+            e.upload(Buffer::Params, at * size_of::<GaussianParams>(), params.as_bytes())?;
+            e.upload(Buffer::ParamFirst, at * size_of::<GaussianParams>(), zeros)?;
+            e.upload(Buffer::ParamSecond, at * size_of::<GaussianParams>(), zeros)?;
+            e.upload(Buffer::ParamSteps, at * size_of::<u32>(), steps)
+        })
+    }
+
     /// Waits for the last run and reads its counters.
     pub(super) fn stats(&self) -> Option<RenderStats> {
         let mut counters = Counters::default();
@@ -176,6 +190,15 @@ fn run_timed<E: Executor>(
         clock.finish(stage.kernel.spec().name);
     }
     Ok(())
+}
+
+/// Most anchors that are uploaded together: a call costs more than the bytes of one of them.
+const SLOTS_PER_UPLOAD: usize = 64;
+
+/// Index of the next slot of a run of `len` consecutive slots from `first` on.
+fn next_of_run(slots: &[u32], first: usize, len: usize) -> Option<usize> {
+    let next = slots[first].checked_add(len as u32)?;
+    (len < SLOTS_PER_UPLOAD && slots.get(first + len) == Some(&next)).then_some(first + len)
 }
 
 /// Bytes of [`Buffer::Bounds`].
@@ -209,21 +232,24 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
     }
 
     fn write_anchors(&mut self, slots: &[u32], headers: &[AnchorHeader], params: &[GaussianParams]) -> usize {
-        let mut refused = slots.len();
-        for ((&slot, header), params) in
-            slots.iter().zip(headers).zip(params.chunks(self.capacities.gaussians_per_anchor))
-        {
-            let Some(anchor) = self.slots.write(&self.capacities, slot, header, params) else { continue };
-            let slot = slot as usize;
-            let written = self.device.call(|e| {
-                e.upload(Buffer::Anchors, slot * size_of::<DeviceAnchor>(), anchor.as_bytes())?;
-                e.upload(Buffer::Params, slot * self.zeros.len(), params.as_bytes())?;
-                e.upload(Buffer::ParamFirst, slot * self.zeros.len(), &self.zeros)?;
-                e.upload(Buffer::ParamSecond, slot * self.zeros.len(), &self.zeros)?;
-                let steps = &self.zeros[..params.len() * size_of::<u32>()];
-                e.upload(Buffer::ParamSteps, slot * steps.len(), steps)
-            });
-            refused -= usize::from(written);
+        let k = self.capacities.gaussians_per_anchor;
+        let n = slots.len().min(headers.len()).min(params.len() / k);
+        let (mut refused, mut first) = (slots.len(), 0);
+        while first < n {
+            let mut run = heapless::Vec::<DeviceAnchor, SLOTS_PER_UPLOAD>::new();
+            while let Some(i) = next_of_run(&slots[..n], first, run.len()) {
+                let own = &params[i * k..(i + 1) * k];
+                let Some(anchor) = self.slots.write(&self.capacities, slots[i], &headers[i], own) else { break };
+                if run.push(anchor).is_err() {
+                    unreachable!("next_of_run ends before SLOTS_PER_UPLOAD");
+                }
+            }
+            let filled = &params[first * k..(first + run.len()) * k];
+            if !run.is_empty() && self.upload_anchors(slots[first] as usize, &run, filled) {
+                refused -= run.len();
+            }
+            // One that is refused is a run of none.
+            first += run.len().max(1);
         }
         refused
     }
@@ -233,7 +259,7 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         let k = self.capacities.gaussians_per_anchor;
         for ((&slot, header), params) in slots.iter().zip(headers).zip(params.chunks_mut(k)) {
             let Some(found) = self.slots.header(slot).filter(|_| params.len() == k) else { continue };
-            let at = slot as usize * self.zeros.len();
+            let at = slot as usize * size_of_val(params);
             if self.device.call(|e| e.download(Buffer::Params, at, params.as_mut_bytes())) {
                 *header = *found;
                 missing -= 1;

@@ -263,3 +263,23 @@ fn a_wrong_reference_is_caught() {
         assert!(result.is_err(), "{who}: SSIM may be 5 % off: {result:?}");
     });
 }
+
+#[test]
+fn anchors_arrive_in_any_order_and_refused_ones_are_left_out() {
+    let problem = Problem::new(61, 45, 150);
+    let n = problem.headers.len();
+    // Runs longer than an upload, runs of one, and a slot out of range.
+    let mut slots: Vec<u32> = (20..n as u32).chain((0..20).rev()).collect();
+    slots[7] = 500;
+    let mut params = problem.params.clone();
+    params[90 * K].offset[1] = f32::NAN;
+    let mut cpu = problem.cpu();
+    let expected_refused = cpu.write_anchors(&slots, &problem.headers, &params);
+    assert_eq!(expected_refused, 2);
+    let expected = trained(&cpu);
+    on_every_device(problem.capacities, |who, backend| {
+        problem.fill(backend);
+        assert_eq!(backend.write_anchors(&slots, &problem.headers, &params), expected_refused, "{who}");
+        assert!(trained(backend) == expected, "{who}: other numbers than on the CPU");
+    });
+}
