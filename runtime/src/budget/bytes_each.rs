@@ -154,7 +154,7 @@ impl SplatSizes {
     }
 
     /// A device backend has the CPU backend behind it where the row lies on both sides. A device without memory of its
-    /// own gives that memory back before the CPU backend takes it.
+    /// own gives that memory back before the CPU backend takes it: the plan holds whichever is larger.
     fn cost_each(&self, row: Row, budget: &Budget, compute: ComputeMemory) -> Cost {
         let names = splat_rows(row);
         let cpu: u64 = names.iter().map(|name| each(&self.cpu, name, row)).sum();
@@ -167,7 +167,11 @@ impl SplatSizes {
         let has_substitute = budget.entry(row).location != Location::Device;
         match (compute, has_substitute) {
             (ComputeMemory::Cpu, _) => on_cpu,
-            (ComputeMemory::SharedDevice, true) => Cost { host: cpu.max(arena) + copy, device: 0, arena },
+            (ComputeMemory::SharedDevice, true) => {
+                let cpu_bytes: u64 = self.cpu.iter().map(|part| part.bytes() as u64).sum();
+                let larger = if cpu_bytes >= arena_bytes(&self.capacities) { cpu } else { arena };
+                Cost { host: larger + copy, device: 0, arena }
+            }
             (ComputeMemory::SharedDevice, false) => Cost { host: arena, device: 0, arena },
             (ComputeMemory::OwnDevice, true) => Cost { host: cpu + copy, device: arena, arena },
             (ComputeMemory::OwnDevice, false) => Cost { host: 0, device: arena, arena },
