@@ -58,14 +58,25 @@ fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
     }
 }
 
+// One pixel of a strip. Its number is written out where this is called: a vector that is indexed lies in memory.
+fn store(s: Strip, j: u32, value: f32, by_mean: f32, by_variance: f32, by_covariance: f32) -> f32 {
+    let n = view.width * view.height;
+    let at = pixel_of(s, j);
+    if at >= n {
+        return 0.0;
+    }
+    window_slopes[at] = by_mean;
+    window_slopes[n + at] = by_variance;
+    window_slopes[2u * n + at] = by_covariance;
+    return value;
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if view.ssim_weight == 0.0 {
-        return;
-    }
-    let n = view.width * view.height;
     var total = 0.0;
-    for (var i = id.x; i < n_strips(); i += LOSS_PIECES) {
+    // Not an early return: software Vulkan (Mesa 22.3) does not give the memory of such a dispatch back.
+    let end = select(n_strips(), 0u, view.ssim_weight == 0.0);
+    for (var i = id.x; i < end; i += LOSS_PIECES) {
         let s = strip_of(i);
         var sums = Sums();
         add_tap(s, 0u, TAP_0, &sums);
@@ -83,15 +94,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         add_tap(s, 12u, TAP_12, &sums);
         add_tap(s, 13u, TAP_13, &sums);
         let found = similarity(sums.mean_x, sums.mean_y, sums.xx, sums.yy, sums.xy);
-        for (var j = 0u; j < STRIP; j++) {
-            let at = pixel_of(s, j);
-            if at < n {
-                window_slopes[at] = found.by_mean[j];
-                window_slopes[n + at] = found.by_variance[j];
-                window_slopes[2u * n + at] = found.by_covariance[j];
-                total += found.value[j];
-            }
-        }
+        total += store(s, 0u, found.value.x, found.by_mean.x, found.by_variance.x, found.by_covariance.x);
+        total += store(s, 1u, found.value.y, found.by_mean.y, found.by_variance.y, found.by_covariance.y);
+        total += store(s, 2u, found.value.z, found.by_mean.z, found.by_variance.z, found.by_covariance.z);
+        total += store(s, 3u, found.value.w, found.by_mean.w, found.by_variance.w, found.by_covariance.w);
     }
     loss_sums[SUM_SSIM * LOSS_PIECES + id.x] += total;
 }
