@@ -99,8 +99,8 @@ impl Trainer<'_> {
         let points = self.points_in(active.view_idx);
         let packet = packet(self.views, self.mounting, active, &points, self.images.native(active.view_idx)?);
         let inserted = self.mapper.insert_keyframe(&packet, &mut &*self.store);
-        let inserted = inserted.map_err(|e| RunError::Run(format!("inserting view {}: {e}", active.view_idx)))?;
-        self.usage.observe(Row::MapNewAnchors, inserted.n_anchors as usize);
+        inserted.map_err(|e| RunError::Run(format!("inserting view {}: {e}", active.view_idx)))?;
+        self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
         self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
         self.usage.observe(Row::MapVoxels, self.mapper.n_resident_anchors() as usize);
         Ok(())
@@ -172,8 +172,8 @@ impl Trainer<'_> {
             let active = active[nth];
             let points = self.points_in(active.view_idx);
             let packet = packet(self.views, self.mounting, active, &points, self.images.native(active.view_idx)?);
-            let revisited = self.mapper.revisit(&packet, n_sources).map_err(|e| RunError::Run(e.to_string()))?;
-            self.usage.observe(Row::MapNewAnchors, revisited.n_anchors as usize);
+            self.mapper.revisit(&packet, n_sources).map_err(|e| RunError::Run(e.to_string()))?;
+            self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
             self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
             let spent = self.clock.progress(self.n_steps);
             if spent >= ends || !(self.on_progress)(spent) {

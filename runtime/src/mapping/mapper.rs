@@ -213,6 +213,11 @@ impl Mapper {
         &self.capacity
     }
 
+    /// Most anchors that were ever on their way into or out of the backend at once.
+    pub fn staged_anchors_peak(&self) -> usize {
+        self.staging.peak()
+    }
+
     /// Anchors that live now.
     pub fn n_resident_anchors(&self) -> u32 {
         self.pool.n_live()

@@ -81,6 +81,7 @@ pub struct Staging {
     stage_of_slot: Box<[u32]>,
     gaussians_per_anchor: usize,
     capacity: usize,
+    peak: usize,
 }
 
 const NOT_STAGED: u32 = u32::MAX;
@@ -115,7 +116,13 @@ impl Staging {
             stage_of_slot: vec![NOT_STAGED; anchors].into(),
             gaussians_per_anchor,
             capacity,
+            peak: 0,
         }
+    }
+
+    /// Most anchors that were ever staged at once.
+    pub fn peak(&self) -> usize {
+        self.peak
     }
 
     /// Whether no further anchor fits.
@@ -142,6 +149,7 @@ impl Staging {
         self.headers.push(header);
         self.features.push(NO_FEATURE);
         self.params.extend(std::iter::repeat_n(NO_GAUSSIAN, self.gaussians_per_anchor));
+        self.peak = self.peak.max(self.slots.len());
     }
 
     /// Adds a Gaussian to a staged slot; false when the slot is not staged or has as many as it can hold.
@@ -189,5 +197,7 @@ mod tests {
         assert_eq!((staging.headers[0].n_gaussians, staging.params.len()), (2, 4));
         staging.clear();
         assert!(!staging.holds(7) && !staging.add_gaussian(7, NO_GAUSSIAN));
+        staging.push(3, NO_HEADER);
+        assert_eq!(staging.peak(), 2);
     }
 }

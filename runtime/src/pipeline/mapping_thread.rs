@@ -7,7 +7,7 @@ use super::tracking_thread::milliseconds;
 use crate::budget::{Row, Usage};
 use crate::input::BorrowedFrame;
 use crate::map_store::{MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
-use crate::mapping::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Mapper, MappingImage};
+use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
 use crate::output::{STAGES, Stage, StageTimes};
 use crate::run_error::RunError;
 use crate::seal;
@@ -280,16 +280,13 @@ impl MappingWork {
             points: &job.points,
             road: job.road,
         };
-        let inserted = match self.mapper.insert_keyframe(&packet, &mut &self.store) {
-            Ok(inserted) => inserted,
-            Err(refused) => {
-                log::debug!("{refused}");
-                self.n_keyframes_refused += 1;
-                return false;
-            }
-        };
+        if let Err(refused) = self.mapper.insert_keyframe(&packet, &mut &self.store) {
+            log::debug!("{refused}");
+            self.n_keyframes_refused += 1;
+            return false;
+        }
         job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
-        self.observe(&inserted, report.keyframe_ordinal);
+        self.observe(report.keyframe_ordinal);
         self.progress.anchors_resident.store(u64::from(self.mapper.n_resident_anchors()), Ordering::Relaxed);
         if let Pace::LockStep { iterations } = self.pace {
             let started = Instant::now();
@@ -300,14 +297,14 @@ impl MappingWork {
     }
 
     /// Notes how full the map's containers are after a keyframe.
-    fn observe(&self, inserted: &InsertReport, ordinal: u32) {
+    fn observe(&self, ordinal: u32) {
         let n_anchors = self.mapper.n_resident_anchors() as usize;
         let n_keyframes = self.mapper.counters().keyframes as usize;
         self.usage.observe(Row::MapAnchors, n_anchors);
         // Every anchor has one voxel.
         self.usage.observe(Row::MapVoxels, n_anchors);
         self.usage.observe(Row::MapWorkspaces, 1);
-        self.usage.observe(Row::MapNewAnchors, inserted.n_anchors as usize);
+        self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
         for (row, n) in [
             (Row::MapKeyframeImages, n_keyframes),
             (Row::MapKeyframes, ordinal as usize + 1),
