@@ -167,7 +167,7 @@ fn signal(camera: &CameraChild, name: &str) {
 
 #[test]
 fn a_stopped_camera_is_silent_and_not_gone() {
-    let recording = grey_recording(10);
+    let recording = grey_recording(400);
     let (mut input, service) = open("stopped");
     let camera = camera(recording.path(), &service, &[]);
     while !matches!(input.wait(PATIENCE).expect("shared memory"), InputEvent::Frame(_)) {}
@@ -182,7 +182,7 @@ fn a_stopped_camera_is_silent_and_not_gone() {
     assert!(input.describe_state().contains("is it stopped"), "{}", input.describe_state());
     signal(&camera, "-CONT");
     let heard = listen(&mut input, |_, _| ());
-    assert_eq!((heard.sequences.last(), input.camera_state()), (Some(&9), CameraState::Ended));
+    assert_eq!((heard.sequences.last(), input.camera_state()), (Some(&399), CameraState::Ended));
 }
 
 #[test]
