@@ -1,6 +1,9 @@
 //! Compiles every kernel of the kernel table from WGSL to SPIR-V, so that a kernel that does not compile is a build error
 //! and the binary carries what a Vulkan device runs.
 
+#[allow(dead_code, reason = "the map uses the rest")]
+#[path = "../core/src/map/numbers.rs"]
+mod numbers;
 #[allow(dead_code, reason = "the library uses the rest")]
 #[path = "src/splat/kernel_constants.rs"]
 mod kernel_constants;
@@ -16,7 +19,13 @@ use std::path::Path;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    for path in ["../shaders", "src/splat/kernels.rs", "src/splat/kernel_constants.rs", "build.rs"] {
+    for path in [
+        "../shaders",
+        "../core/src/map/numbers.rs",
+        "src/splat/kernels.rs",
+        "src/splat/kernel_constants.rs",
+        "build.rs",
+    ] {
         println!("cargo::rerun-if-changed={path}");
     }
     let mut text =

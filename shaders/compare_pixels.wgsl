@@ -8,8 +8,6 @@
 @group(0) @binding(6) var<storage, read_write> upstream: array<f32>;
 @group(0) @binding(7) var<storage, read_write> loss_sums: array<f32>;
 
-const BYTE_SCALE: f32 = 1.0 / 255.0;
-
 fn unit(i: u32) -> f32 {
     return f32((target_words[i / 4u] >> (8u * (i % 4u))) & 0xffu) * BYTE_SCALE;
 }

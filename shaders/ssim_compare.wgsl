@@ -3,10 +3,6 @@
 @group(0) @binding(2) var<storage, read_write> window_slopes: array<f32>;
 @group(0) @binding(3) var<storage, read_write> loss_sums: array<f32>;
 
-// (0.01 L)^2 and (0.03 L)^2 with L = 1.
-const C1: f32 = 0.0001;
-const C2: f32 = 0.0009;
-
 struct Similarity {
     value: vec4<f32>,
     // Derivatives with respect to the window sums of x, xx, xy.
@@ -18,10 +14,10 @@ struct Similarity {
 fn similarity(mean_x: vec4<f32>, mean_y: vec4<f32>, xx: vec4<f32>, yy: vec4<f32>, xy: vec4<f32>) -> Similarity {
     let covariance = xy - mean_x * mean_y;
     let variances = (xx - mean_x * mean_x) + (yy - mean_y * mean_y);
-    let mean_top = 2.0 * mean_x * mean_y + C1;
-    let mean_bottom = mean_x * mean_x + mean_y * mean_y + C1;
-    let variance_top = 2.0 * covariance + C2;
-    let variance_bottom = variances + C2;
+    let mean_top = 2.0 * mean_x * mean_y + SSIM_C1;
+    let mean_bottom = mean_x * mean_x + mean_y * mean_y + SSIM_C1;
+    let variance_top = 2.0 * covariance + SSIM_C2;
+    let variance_bottom = variances + SSIM_C2;
     let inverse = 1.0 / (mean_bottom * variance_bottom);
     let value = mean_top * variance_top * inverse;
     let by_covariance = 2.0 * mean_top * inverse;

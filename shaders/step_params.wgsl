@@ -9,9 +9,6 @@
 @group(0) @binding(7) var<storage, read_write> param_second: array<f32>;
 @group(0) @binding(8) var<storage, read_write> param_steps: array<u32>;
 
-// Steps are counted up to here, as the corrections are 1 long before.
-const MAX_STEPS: u32 = 65535u;
-
 fn rate_of(i: u32) -> f32 {
     if i < FIRST_LOG_SCALE {
         return view.offset_rate;
@@ -35,7 +32,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let gaussian = candidates[c];
-    let steps = min(param_steps[gaussian] + 1u, MAX_STEPS);
+    let steps = min(param_steps[gaussian] + 1u, ADAM_MAX_STEPS);
     param_steps[gaussian] = steps;
     let correction = bias_correction(f32(steps));
     for (var i = 0u; i < N_PARAMS; i++) {

@@ -1,11 +1,4 @@
 // Adam (Kingma & Ba 2015, algorithm 1).
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-const LN_BETA1: f32 = -0.105360515657826;
-const LN_BETA2: f32 = -0.00100050033358353;
-const EPSILON: f32 = 1e-15;
-// A gradient beyond this is the product of an overflow and not followed.
-const MAX_GRADIENT: f32 = 1e15;
 
 // Corrections of the two running means for their start at zero.
 struct BiasCorrection {
@@ -20,7 +13,7 @@ fn one_minus_exp(x: f32) -> f32 {
 }
 
 fn bias_correction(step: f32) -> BiasCorrection {
-    return BiasCorrection(1.0 / one_minus_exp(step * LN_BETA1), 1.0 / sqrt(one_minus_exp(step * LN_BETA2)));
+    return BiasCorrection(1.0 / one_minus_exp(step * ADAM_LN_BETA1), 1.0 / sqrt(one_minus_exp(step * ADAM_LN_BETA2)));
 }
 
 struct AdamNumber {
@@ -32,8 +25,8 @@ struct AdamNumber {
 fn adam(n: AdamNumber, raw_gradient: f32, rate: f32, correction: BiasCorrection) -> AdamNumber {
     // Not a number fails this comparison.
     let gradient = select(0.0, raw_gradient, abs(raw_gradient) < MAX_GRADIENT);
-    let first = n.first * BETA1 + gradient * (1.0 - BETA1);
-    let second = n.second * BETA2 + gradient * gradient * (1.0 - BETA2);
-    let denominator = sqrt(second) * correction.second + EPSILON;
+    let first = n.first * ADAM_BETA1 + gradient * (1.0 - ADAM_BETA1);
+    let second = n.second * ADAM_BETA2 + gradient * gradient * (1.0 - ADAM_BETA2);
+    let denominator = sqrt(second) * correction.second + ADAM_EPSILON;
     return AdamNumber(n.value - rate * correction.first * first / denominator, first, second);
 }

@@ -15,10 +15,10 @@ fn strip_of(i: u32) -> Strip {
 // Pixel of a tap; outside the picture the number of its pixels.
 fn tap_of(s: Strip, tap: u32) -> u32 {
     // Rows above the picture wrap around to large numbers.
-    let row = s.top + tap - RADIUS;
+    let row = s.top + tap - SSIM_RADIUS;
     return select(view.width * view.height, row * view.width + s.column, row < view.height);
 }
 
 fn pixel_of(s: Strip, i: u32) -> u32 {
-    return tap_of(s, i + RADIUS);
+    return tap_of(s, i + SSIM_RADIUS);
 }

@@ -19,10 +19,10 @@ fn strip_of(i: u32) -> Strip {
 // Pixel of a tap; outside the picture the number of its pixels.
 fn tap_of(s: Strip, tap: u32) -> u32 {
     // Columns left of the picture wrap around to large numbers.
-    let column = s.left + tap - RADIUS;
+    let column = s.left + tap - SSIM_RADIUS;
     return select(view.width * view.height, s.row * view.width + column, column < view.width);
 }
 
 fn pixel_of(s: Strip, i: u32) -> u32 {
-    return tap_of(s, i + RADIUS);
+    return tap_of(s, i + SSIM_RADIUS);
 }

@@ -1,28 +1,16 @@
-// atan(x) / x in powers of x^2, highest first; own fit.
-const ATAN_7: f32 = -0.00405456626;
-const ATAN_6: f32 = 0.0218629566;
-const ATAN_5: f32 = -0.0559123292;
-const ATAN_4: f32 = 0.0964219794;
-const ATAN_3: f32 = -0.1390863;
-const ATAN_2: f32 = 0.199465658;
-const ATAN_1: f32 = -0.333298608;
-const ATAN_0: f32 = 0.999999336;
-const PI: f32 = 3.14159265358979;
-const TAU: f32 = 6.28318530717959;
-
 // Angle of (x, y) from the x axis, rad in -pi..=pi.
 fn angle_of(y: f32, x: f32) -> f32 {
     let ax = abs(x);
     let ay = abs(y);
-    let ratio = min(ax, ay) / max(max(ax, ay), 1e-30);
+    let ratio = min(ax, ay) / max(max(ax, ay), MIN_DIRECTION);
     let s = ratio * ratio;
-    var sum = ATAN_7 * s + ATAN_6;
-    sum = sum * s + ATAN_5;
-    sum = sum * s + ATAN_4;
-    sum = sum * s + ATAN_3;
-    sum = sum * s + ATAN_2;
-    sum = sum * s + ATAN_1;
-    sum = sum * s + ATAN_0;
+    var sum = ATAN_COEFFICIENTS[0] * s + ATAN_COEFFICIENTS[1];
+    sum = sum * s + ATAN_COEFFICIENTS[2];
+    sum = sum * s + ATAN_COEFFICIENTS[3];
+    sum = sum * s + ATAN_COEFFICIENTS[4];
+    sum = sum * s + ATAN_COEFFICIENTS[5];
+    sum = sum * s + ATAN_COEFFICIENTS[6];
+    sum = sum * s + ATAN_COEFFICIENTS[7];
     var angle = sum * ratio;
     angle = select(angle, 0.5 * PI - angle, ax < ay);
     angle = select(angle, PI - angle, x < 0.0);

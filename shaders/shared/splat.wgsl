@@ -1,5 +1,3 @@
-const TWO_LN_2: f32 = 1.38629436111989;
-
 // A Gaussian as it is blended.
 struct Splat {
     mean_x: f32,

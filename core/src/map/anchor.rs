@@ -1,5 +1,6 @@
 //! The records of an anchor and of the Gaussians that it spawns.
 
+pub use super::numbers::GAUSSIAN_PARAMS;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// Numbers of one Gaussian, relative to its anchor and in the axes of the anchor's keyframe.
@@ -22,8 +23,6 @@ pub struct GaussianParams {
     pub color_logit: [f32; 3],
 }
 
-/// Trainable numbers per Gaussian.
-pub const GAUSSIAN_PARAMS: usize = 14;
 const _: () = assert!(size_of::<GaussianParams>() == GAUSSIAN_PARAMS * size_of::<f32>());
 
 /// What of an anchor never changes by training.

@@ -18,30 +18,16 @@
 //! inputs, respectively hidden units, and begin with the bias.
 
 use super::anchor::{GAUSSIAN_PARAMS, GaussianParams};
+pub use super::numbers::{FEATURE_LEN, HIDDEN, INPUTS, VIEW_INPUTS};
+use super::numbers::{LOG2_DISTANCE_UNIT, LOG2_MIDDLE_DISTANCE, MIN_DISTANCE_M};
 use crate::math::Rng;
 use core::ops::{Add, Mul, Range};
-
-/// Features of an anchor.
-pub const FEATURE_LEN: usize = 32;
-/// Inputs that say from where the anchor is seen: direction and logarithm of the distance.
-pub const VIEW_INPUTS: usize = 4;
-/// Numbers that a decoder reads.
-pub const INPUTS: usize = FEATURE_LEN + VIEW_INPUTS;
-/// Units of the hidden layer.
-pub const HIDDEN: usize = 32;
 
 /// What an anchor tells its decoder; 0 at first.
 pub type AnchorFeature = [f32; FEATURE_LEN];
 
 /// A feature of nothing.
 pub const NO_FEATURE: AnchorFeature = [0.0; FEATURE_LEN];
-
-/// Binary logarithm of the distance, m, at which the last input is 0.
-const LOG2_MIDDLE_DISTANCE: f32 = 4.0;
-/// Change of that logarithm that moves the last input by 1: -1 is 2 m, 1 is 128 m.
-const LOG2_DISTANCE_UNIT: f32 = 3.0;
-/// Nearer cameras are taken to be this far away, m.
-const MIN_DISTANCE_M: f32 = 0.125;
 
 /// The inputs that depend on the camera; `anchor_from_camera_m` is in the axes and units of the anchor's keyframe.
 #[inline]

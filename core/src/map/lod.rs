@@ -1,17 +1,10 @@
 //! Level of detail: which voxel size describes a surface at which distance.
 
-/// Levels of the voxel hierarchy, 0 the finest.
-pub const N_LEVELS: usize = 5;
+pub use super::numbers::{BAND_OVERLAP_RATIO, BAND_STARTS_M, N_LEVELS};
 
 /// Edge of a voxel of each level, m. The paper, section 3.2 (its table's third
 /// entry is a misprint for 1 m).
 pub const VOXEL_SIZES_M: [f32; N_LEVELS] = [0.1, 0.25, 1.0, 5.0, 25.0];
-
-/// Distance from the camera at which each level takes over from the finer one, m.
-pub const BAND_STARTS_M: [f32; N_LEVELS] = [0.0, 20.0, 40.0, 80.0, 160.0];
-
-/// Half width of the zone around a band's border in which both levels exist, relative to the border's distance.
-pub const BAND_OVERLAP_RATIO: f32 = 0.05;
 
 /// The level whose band a distance falls into.
 pub fn level_at(distance_m: f32) -> u8 {

@@ -5,6 +5,7 @@ pub mod decoder;
 pub mod depth;
 pub mod insertion;
 pub mod lod;
+pub mod numbers;
 pub mod pool;
 pub mod spawn;
 pub mod voxel;

@@ -3,18 +3,17 @@
 //! Nothing supports a Gaussian in the sky, so the sky is not made of Gaussians: the last of a pixel's
 //! transmittance shows a table of colors by direction, equirectangular about the map's vertical axis (`-y` is up).
 
+use super::kernel_constants as constants;
 use nalgebra::Vector3;
 
+pub use super::kernel_constants::{BACKGROUND_MAX_ELEVATION_RAD, BACKGROUND_MIN_ELEVATION_RAD};
+
 /// Texels around the horizon; column 0 is centred half a texel to the right of the map's forward axis (`+z`).
-pub const BACKGROUND_COLUMNS: usize = 128;
+pub const BACKGROUND_COLUMNS: usize = constants::BACKGROUND_COLUMNS as usize;
 /// Texels from the lowest to the highest elevation.
-pub const BACKGROUND_ROWS: usize = 32;
+pub const BACKGROUND_ROWS: usize = constants::BACKGROUND_ROWS as usize;
 /// Texels of one table.
 pub const BACKGROUND_TEXELS: usize = BACKGROUND_COLUMNS * BACKGROUND_ROWS;
-/// Lower edge of the table; a ray below it sees the lowest row.
-pub const BACKGROUND_MIN_ELEVATION_RAD: f32 = -15.0 * core::f32::consts::PI / 180.0;
-/// Upper edge of the table; a ray above it sees the highest row.
-pub const BACKGROUND_MAX_ELEVATION_RAD: f32 = 60.0 * core::f32::consts::PI / 180.0;
 
 /// Unit direction, in map axes, of the centre of a texel.
 pub fn background_texel_direction(column: usize, row: usize) -> Vector3<f32> {

@@ -1,5 +1,6 @@
 //! How large a backend is: fixed before it starts.
 
+use super::kernel_constants::MAX_IMAGE_SIDE_PX;
 use super::{TrainingView, View};
 
 /// Sizes fixed at construction; a backend's memory follows from them alone.
@@ -33,9 +34,6 @@ pub struct Capacities {
 
 /// Most Gaussians an anchor can have: their visibility is one 32-bit word.
 pub const MAX_GAUSSIANS_PER_ANCHOR: usize = 32;
-
-/// Largest side of a picture, px: pixel rows and columns are stored in 16 bits.
-pub const MAX_IMAGE_SIDE_PX: u32 = 4096;
 
 impl Capacities {
     /// Capacities for a picture size and a number of anchors, with the usual ratios between the lists.

@@ -30,6 +30,7 @@ pub use training::{
     TargetImage, TrainingView,
 };
 
+use kilogs_core::map::numbers;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Similarity that takes keyframe coordinates to the map: `x_map = scale * R x_keyframe + t`.

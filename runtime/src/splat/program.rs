@@ -4,11 +4,12 @@
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
 use super::kernel_constants::{
-    BLOCK_PX, DIGITS, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX,
+    self as constants, BLOCK_PX, DIGITS, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES,
+    TILE_GROUP, TILE_PX,
 };
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
-use super::{BACKGROUND_TEXELS, Capacities, MemoryRow};
+use super::{Capacities, MemoryRow};
 
 mod learn;
 
@@ -139,7 +140,7 @@ buffers! {
 /// Red, green, blue, depth, transmittance.
 pub const N_PLANES: usize = 5;
 /// Numbers of one background table.
-pub const TEXEL_NUMBERS: usize = 3 * BACKGROUND_TEXELS;
+pub const TEXEL_NUMBERS: usize = constants::TEXEL_NUMBERS as usize;
 
 /// What sizes follow from.
 struct Sizes {

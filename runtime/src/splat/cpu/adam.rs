@@ -1,19 +1,10 @@
 //! Adam (Kingma & Ba 2015, algorithm 1).
 
 use super::lane::Lane;
-
-/// Decay of the mean gradient.
-pub const BETA1: f64 = 0.9;
-/// Decay of the mean squared gradient.
-pub const BETA2: f64 = 0.999;
-/// Binary logarithm of [`BETA1`].
-const LOG2_BETA1: f64 = -0.152_003_093_445_049_97;
-/// Binary logarithm of [`BETA2`].
-const LOG2_BETA2: f64 = -0.001_443_416_869_668_718_6;
-/// Keeps the division finite; as small as in Kerbl et al. 2023, because gradients of a mean over pixels are tiny.
-pub const EPSILON: f64 = 1e-15;
-/// A gradient beyond this is the product of an overflow and not followed.
-const MAX_GRADIENT: f64 = 1e15;
+use crate::splat::kernel_constants::{
+    ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON, ADAM_LOG2_BETA1 as LOG2_BETA1,
+    ADAM_LOG2_BETA2 as LOG2_BETA2, MAX_GRADIENT,
+};
 
 /// Corrections of the two running means for their start at zero.
 #[derive(Clone, Copy)]
@@ -38,7 +29,7 @@ impl<L: Lane> BiasCorrection<L> {
 /// One step of one number; returns the new `(value, first moment, second moment)`.
 #[inline(always)]
 pub fn adam<L: Lane>(value: L, first: L, second: L, gradient: L, rate: L, correction: &BiasCorrection<L>) -> [L; 3] {
-    let usable = gradient.abs().lt(gradient.constant(MAX_GRADIENT));
+    let usable = gradient.abs().lt(gradient.constant(f64::from(MAX_GRADIENT)));
     let gradient = gradient.zero().replace(usable, gradient);
     let first = first.mul_add(first.constant(BETA1), gradient * first.constant(1.0 - BETA1));
     let second = second.mul_add(second.constant(BETA2), gradient * gradient * second.constant(1.0 - BETA2));

@@ -4,15 +4,13 @@ use super::anchors::FixedNumbers;
 use super::project::{CameraConstants, NEAR_PLANE_M, SCREEN_DILATION_PX2};
 use super::splats::{Lists, MAX_JOBS, piece_len, take_front};
 use crate::pool::Pool;
+use crate::splat::kernel_constants::MAX_SIGMAS;
 use crate::splat::{AnchorHeader, GaussianParams, KeyframePlacement, View};
 use kilogs_core::map::lod;
 use nalgebra::{Matrix3, Vector3};
 
 /// `camera_from_keyframe` of a keyframe row: scale times rotation row by row, then the translation.
 pub type KeyframeNumbers = [f32; 12];
-
-/// At an opacity of 1 a splat ends where `q = ln 255`, that is at this many standard deviations.
-const MAX_SIGMAS: f32 = 3.33;
 
 /// Camera from every keyframe row, composed in f64 so that the length of the route costs no digits.
 pub fn place_keyframes(view: &View, placements: &[KeyframePlacement], out: &mut [KeyframeNumbers]) {

@@ -3,27 +3,27 @@
 //! This stage is the one that a learned decoder replaces; nothing after it knows how a Gaussian came about.
 
 use super::lane::{Lane, each};
+use crate::splat::kernel_constants::MIN_QUATERNION_NORM2;
 
 /// Position of each group within the 14 trained numbers of a Gaussian (the layout of
 /// [`GaussianParams`](kilogs_core::map::GaussianParams)).
 pub mod group {
+    use crate::splat::kernel_constants as constants;
+
     /// Offsets, 3 numbers.
     pub const OFFSET: usize = 0;
     /// Logarithms of scales, 3 numbers.
-    pub const LOG_SCALE: usize = 3;
+    pub const LOG_SCALE: usize = constants::FIRST_LOG_SCALE as usize;
     /// Quaternion xyzw.
-    pub const ROTATION: usize = 6;
+    pub const ROTATION: usize = constants::FIRST_ROTATION as usize;
     /// Opacity logit.
-    pub const OPACITY: usize = 10;
+    pub const OPACITY: usize = constants::FIRST_OPACITY as usize;
     /// Color logits, 3 numbers.
-    pub const COLOR: usize = 11;
+    pub const COLOR: usize = constants::FIRST_COLOR as usize;
 }
 
 /// Trained numbers per Gaussian.
 pub const N_PARAMS: usize = kilogs_core::map::anchor::GAUSSIAN_PARAMS;
-
-/// Below this squared norm a quaternion has no direction; it is divided by this norm instead of its own.
-const MIN_QUATERNION_NORM2: f64 = 1e-20;
 
 /// A Gaussian in its keyframe's frame, or gradients with respect to it.
 #[derive(Clone, Copy, Debug)]

@@ -8,6 +8,7 @@ use super::lane::Wide;
 use super::layers::{BATCH, Layer, hidden_layer, outputs};
 use super::packet::{as_gaussians, as_numbers, as_numbers_mut};
 use super::splats::{MAX_JOBS, piece_len, take_front};
+use crate::splat::kernel_constants::MAX_SIGMAS;
 use crate::splat::{AnchorFeature, GaussianParams, KeyframePlacement, View};
 use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, view_input};
 use pulp::{Simd, WithSimd};
@@ -50,8 +51,6 @@ pub fn place_camera(view: &View, placements: &[KeyframePlacement], out: &mut [[f
 const MOST_SHIFT: f32 = 4.0;
 /// How much larger than stored a Gaussian beyond the border may become before it is missed there.
 const MOST_GROWTH: f32 = 2.0;
-/// Standard deviations that a splat reaches (see `cull`).
-const REACH_SIGMAS: f32 = 3.33;
 
 /// Fills `shown` for every anchor that may meet the picture and marks its slot with a 1 in `marks`, others with a 0.
 pub fn decode_anchors(
@@ -111,7 +110,7 @@ impl DecodeJob<'_> {
             let reach = as_gaussians(numbers).iter().take(usize::from(header.n_gaussians)).map(|g| {
                 let [dx, dy, dz] = g.offset;
                 let shift = (dx * dx + dy * dy + dz * dz).sqrt() + MOST_SHIFT;
-                shift + REACH_SIGMAS * MOST_GROWTH * largest_scale(g)
+                shift + MAX_SIGMAS * MOST_GROWTH * largest_scale(g)
             });
             let extent_m = fixed.extents_m[slot];
             let scale = (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]).sqrt();

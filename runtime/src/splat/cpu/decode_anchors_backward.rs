@@ -13,14 +13,13 @@ use super::features::FeatureStorage;
 use super::lane::Wide;
 use super::layers::{BATCH, Layer, MAX_OUTPUTS, add_products, feature_grads, hidden_grads, hidden_layer};
 use super::packet::as_arrays;
+use crate::splat::kernel_constants::MAX_GRADIENT;
 use crate::splat::{Capacities, DecoderShape, GaussianParams};
 use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS};
 use pulp::{Simd, WithSimd};
 
 /// Bands of slots whose gradients are summed on their own.
 const BANDS: usize = 16;
-/// A gradient beyond this is the product of an overflow and not followed.
-const MAX_GRADIENT: f32 = 1e15;
 
 /// Sums of the gradients of one decoder.
 pub struct DecoderGradients {

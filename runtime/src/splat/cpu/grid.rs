@@ -3,20 +3,22 @@
 //! A block is what SIMD works on (one vector of 16 lanes, two of 8, four of 4); a tile has one list of Gaussians,
 //! in which each pair says by a bit mask which blocks it touches; a row of tiles is one job.
 
+use crate::splat::kernel_constants as constants;
+
 /// Side of a tile, px.
-pub const TILE_PX: usize = 16;
+pub const TILE_PX: usize = constants::TILE_PX as usize;
 /// Pixels of a tile.
 pub const TILE_PIXELS: usize = TILE_PX * TILE_PX;
 /// Side of a block, px.
-pub const BLOCK_PX: usize = 4;
+pub const BLOCK_PX: usize = constants::BLOCK_PX as usize;
 /// Pixels of a block.
 pub const BLOCK_PIXELS: usize = BLOCK_PX * BLOCK_PX;
 /// Blocks along the side of a tile.
-pub const BLOCKS_PER_SIDE: usize = TILE_PX / BLOCK_PX;
+pub const BLOCKS_PER_SIDE: usize = constants::BLOCKS_PER_SIDE as usize;
 /// Blocks of a tile, one bit each.
-pub const TILE_BLOCKS: usize = BLOCKS_PER_SIDE * BLOCKS_PER_SIDE;
+pub const TILE_BLOCKS: usize = constants::TILE_BLOCKS as usize;
 /// Most rows (or columns) of tiles.
-pub const MAX_TILE_ROWS: usize = crate::splat::capacity::MAX_IMAGE_SIDE_PX as usize / TILE_PX;
+pub const MAX_TILE_ROWS: usize = constants::MAX_TILE_ROWS as usize;
 
 /// Size of a picture in pixels and tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -55,6 +55,7 @@ macro_rules! each {
 }
 pub(super) use each;
 
+use crate::splat::kernel_constants::EXP2_COEFFICIENTS;
 use core::ops::{Add, Div, Mul, Neg, Sub};
 use pulp::Simd;
 
@@ -232,11 +233,6 @@ impl<S: Simd> Wide<S> {
         Self { simd, v: simd.transmute_f32s_u32s(bits) }
     }
 }
-
-/// Minimax polynomial of `2^x` on [-1/2, 1/2], highest power first; relative error 9.2e-8 before rounding.
-/// Source: own fit (iteratively reweighted least squares of the relative error).
-#[expect(clippy::approx_constant, reason = "the fit differs from ln 2 where the polynomial is cut off")]
-const EXP2_COEFFICIENTS: [f32; 6] = [1.326_472_7e-3, 9.671_513e-3, 5.550_733_6e-2, 2.402_224_2e-1, 6.931_47e-1, 1.0];
 
 macro_rules! operator {
     ($trait:ident, $method:ident, $simd_method:ident) => {

@@ -4,6 +4,7 @@ use super::simd::Dispatch;
 use super::splats::take_front;
 use super::ssim::{Channel, SSIM_PLANES, add_ssim};
 use crate::pool::Pool;
+use crate::splat::kernel_constants::BYTE_SCALE;
 use crate::splat::{Capacities, DepthTarget, Exposure, LossTerms, LossWeights, TargetImage};
 
 /// Planes of the loss, each as large as the picture.
@@ -201,9 +202,6 @@ struct PixelJob<'a> {
     grad: [&'a mut [f32]; N_DRAWN],
     sums: PixelSums,
 }
-
-/// Full scale of a byte.
-const BYTE_SCALE: f32 = 1.0 / 255.0;
 
 impl PixelJob<'_> {
     fn run(&mut self, input: &LossInput<'_>, drawn: [&[f32]; N_DRAWN], scales: PixelScales) {

@@ -3,11 +3,8 @@
 use super::decode::Decoded;
 use super::lane::{Lane, each};
 use crate::splat::View;
+pub use crate::splat::kernel_constants::{NEAR_PLANE_M, SCREEN_DILATION_PX2};
 
-/// Variance added to every splat, px^2: the low-pass filter of a pixel.
-pub const SCREEN_DILATION_PX2: f64 = 0.3;
-/// Gaussians nearer than this are not drawn, m.
-pub const NEAR_PLANE_M: f32 = 0.01;
 /// The projection is linearised at most this share of the half field of view beyond the border of the picture.
 const FIELD_OF_VIEW_MARGIN: f64 = 0.3;
 

@@ -5,6 +5,7 @@ use super::grid::Grid;
 use super::lane::{Lane, Wide, each};
 use super::simd::Dispatch;
 use crate::pool::Pool;
+use crate::splat::kernel_constants::{ATAN_COEFFICIENTS, MIN_DIRECTION};
 use crate::splat::{
     BACKGROUND_COLUMNS, BACKGROUND_MAX_ELEVATION_RAD, BACKGROUND_MIN_ELEVATION_RAD, BACKGROUND_ROWS, BACKGROUND_TEXELS,
     View,
@@ -191,7 +192,7 @@ impl Rays {
 fn atan2<L: Lane>(y: L, x: L) -> L {
     let (ax, ay) = (x.abs(), y.abs());
     let (small, large) = (ax.min(ay), ax.max(ay));
-    let ratio = small / large.max(large.constant(1e-30));
+    let ratio = small / large.max(large.constant(MIN_DIRECTION));
     let square = ratio * ratio;
     let mut sum = ratio.constant(ATAN_COEFFICIENTS[0]);
     for &coefficient in &ATAN_COEFFICIENTS[1..] {
@@ -202,10 +203,6 @@ fn atan2<L: Lane>(y: L, x: L) -> L {
     let angle = angle.replace(x.lt(x.zero()), angle.constant(PI) - angle);
     angle.replace(y.lt(y.zero()), -angle)
 }
-
-/// `atan(x) / x` in powers of `x^2`, highest first.
-const ATAN_COEFFICIENTS: [f64; 8] =
-    [-0.00405456626, 0.0218629566, -0.0559123292, 0.0964219794, -0.1390863, 0.199465658, -0.333298608, 0.999999336];
 
 /// Where a pixel falls between four texels.
 struct Corners {

@@ -1,6 +1,8 @@
 //! What a view works on: lists whose capacity is fixed, filled anew for every view.
 
 use crate::splat::Capacities;
+use crate::splat::kernel_constants as constants;
+pub use constants::{LOG2_MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE};
 
 use super::grid::{Grid, MAX_TILE_ROWS};
 
@@ -26,16 +28,9 @@ pub struct Splat {
     pub rows_px: [u16; 2],
 }
 
-/// Binary logarithm of 1/255: a splat dimmer than one 8-bit step cannot change a pixel (Kerbl et al. 2023, app. C).
-pub const LOG2_MIN_ALPHA: f32 = -7.994_353_4;
-/// Keeps a single splat from hiding everything for ever (Kerbl et al. 2023, app. C).
-pub const MAX_ALPHA: f32 = 0.99;
-/// A pixel ends before the Gaussian that would take its transmittance to this or less.
-pub const MIN_TRANSMITTANCE: f32 = 1e-4;
-
 /// Numbers per splat that blending has gradients for:
 /// moments `0, x, y, xx, xy, yy` of dL/dq, then RGB and depth.
-pub const N_SPLAT_GRADS: usize = 10;
+pub const N_SPLAT_GRADS: usize = constants::N_SPLAT_GRADS as usize;
 /// Position of RGB in a splat's gradients.
 pub const GRAD_COLOR: usize = 6;
 /// Position of the depth in a splat's gradients.

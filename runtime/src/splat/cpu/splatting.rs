@@ -9,6 +9,7 @@ use super::project::{CameraConstants, NEAR_PLANE_M, project};
 use super::simd::Dispatch;
 use super::splats::{LOG2_MIN_ALPHA, Lists, MAX_JOBS, Splat, piece_len, take_front};
 use crate::pool::Pool;
+use crate::splat::kernel_constants::BORDER_MARGIN_PX;
 use core::f32::consts::{LN_2, LOG2_E};
 use pulp::{Simd, WithSimd};
 
@@ -187,9 +188,6 @@ impl ProjectedRows {
         })
     }
 }
-
-/// Rounding errors of an ellipse's border are smaller than this, px.
-const BORDER_MARGIN_PX: f32 = 0.01;
 
 /// First and last pixel of the picture whose centre lies in `mean + low..=mean + high`; the first is larger when
 /// there is none.

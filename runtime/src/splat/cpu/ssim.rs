@@ -7,31 +7,16 @@ use super::lane::{Lane, Wide, each};
 use super::simd::Dispatch;
 use super::splats::take_front;
 use crate::pool::Pool;
-use crate::splat::capacity::MAX_IMAGE_SIDE_PX;
+use crate::splat::kernel_constants::{
+    MAX_IMAGE_SIDE_PX, SSIM_C1 as C1, SSIM_C2 as C2, SSIM_RADIUS, SSIM_WEIGHTS as WEIGHTS,
+};
 use pulp::{Simd, WithSimd};
 
-/// Pixels from the middle of a window to its border (11x11).
-const RADIUS: usize = 5;
+/// Pixels from the middle of a window to its border.
+const RADIUS: usize = SSIM_RADIUS as usize;
 /// Pixels along a window.
-const TAPS: usize = 2 * RADIUS + 1;
-/// Gaussian weights of standard deviation 1.5 px with sum 1.
-const WEIGHTS: [f32; TAPS] = [
-    0.001_028_380_1,
-    0.007_598_758,
-    0.036_000_773,
-    0.109_360_69,
-    0.213_005_54,
-    0.266_011_72,
-    0.213_005_54,
-    0.109_360_69,
-    0.036_000_773,
-    0.007_598_758,
-    0.001_028_380_1,
-];
-/// Stabilises the ratio of means (Wang et al. 2004: (0.01 L)^2, L = 1).
-const C1: f64 = 0.0001;
-/// Stabilises the ratio of variances (Wang et al. 2004: (0.03 L)^2, L = 1).
-const C2: f64 = 0.0009;
+const TAPS: usize = WEIGHTS.len();
+const _: () = assert!(TAPS == 2 * RADIUS + 1, "a window has its middle and a radius on both sides");
 
 /// Planes of scratch that [`add_ssim`] needs, each as large as the picture.
 pub const SSIM_PLANES: usize = N_SUMS + N_DERIVATIVES;
