@@ -38,6 +38,23 @@ pub fn view_input(anchor_from_camera_m: [f32; 3]) -> [f32; VIEW_INPUTS] {
     [x / distance_m, y / distance_m, z / distance_m, log_distance]
 }
 
+/// Gradient with respect to `anchor_from_camera_m`, from that with respect to its [`view_input`].
+pub fn view_input_backward(anchor_from_camera_m: [f32; 3], grads: &[f32; VIEW_INPUTS]) -> [f32; 3] {
+    let [x, y, z] = anchor_from_camera_m;
+    let length_m = libm::sqrtf(x * x + y * y + z * z);
+    let distance_m = length_m.max(MIN_DISTANCE_M);
+    let unit = anchor_from_camera_m.map(|v| v / distance_m);
+    let [gx, gy, gz, by_log] = *grads;
+    let [ux, uy, uz] = unit;
+    // Below the smallest distance nothing is divided by the length.
+    let along = if length_m > MIN_DISTANCE_M {
+        gx * ux + gy * uy + gz * uz - by_log / (LOG2_DISTANCE_UNIT * core::f32::consts::LN_2)
+    } else {
+        0.0
+    };
+    [(gx - ux * along) / distance_m, (gy - uy * along) / distance_m, (gz - uz * along) / distance_m]
+}
+
 /// Numbers of a decoder and where each part begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecoderShape {
@@ -288,6 +305,27 @@ mod tests {
             };
             let (up, down) = (moved(STEP), moved(-STEP));
             check("input", i, got, up, down);
+        }
+    }
+
+    #[test]
+    fn gradients_of_the_place_of_the_camera_agree_with_differences() {
+        let upstream = [0.7f32, -0.4, 0.3, 0.9];
+        for (from_camera_m, step_m) in
+            [([3.0f32, -2.0, 20.0], 0.05f32), ([-0.5, 0.2, 0.1], 2e-3), ([0.02, 0.05, 0.01], 1e-3)]
+        {
+            let value = |at: [f32; 3]| view_input(at).iter().zip(upstream).map(|(v, u)| f64::from(v * u)).sum::<f64>();
+            let got = view_input_backward(from_camera_m, &upstream);
+            for i in 0..3 {
+                let moved = |step_m: f32| {
+                    let mut at = from_camera_m;
+                    at[i] += step_m;
+                    value(at)
+                };
+                let difference = (moved(step_m) - moved(-step_m)) / f64::from(2.0 * step_m);
+                let error = (f64::from(got[i]) - difference).abs();
+                assert!(error < 1e-3 * (1e-2 + difference.abs()), "{from_camera_m:?} {i}: {} by {difference}", got[i]);
+            }
         }
     }
 

@@ -30,11 +30,27 @@ pub fn band_opacity(level: u8, distance_m: f32) -> f32 {
     rises * (1.0 - falls)
 }
 
+/// Change of [`band_opacity`] per metre of distance; 0 where it is constant.
+pub fn band_opacity_slope(level: u8, distance_m: f32) -> f32 {
+    let level = level as usize;
+    let (near, far) = (BAND_STARTS_M.get(level), BAND_STARTS_M.get(level + 1));
+    let (rises, rise) =
+        if level == 0 { (1.0, 0.0) } else { (border_weight(near, distance_m), border_slope(near, distance_m)) };
+    rise * (1.0 - border_weight(far, distance_m)) - rises * border_slope(far, distance_m)
+}
+
 /// Share of the coarser level across the border that starts at `border_m`; zero where there is no border.
 fn border_weight(border_m: Option<&f32>, distance_m: f32) -> f32 {
     let Some(&border_m) = border_m else { return 0.0 };
     let half_width_m = border_m * BAND_OVERLAP_RATIO;
     (0.5 + 0.5 * (distance_m - border_m) / half_width_m).clamp(0.0, 1.0)
+}
+
+/// Change of [`border_weight`] per metre.
+fn border_slope(border_m: Option<&f32>, distance_m: f32) -> f32 {
+    let Some(&border_m) = border_m else { return 0.0 };
+    let half_width_m = border_m * BAND_OVERLAP_RATIO;
+    if (distance_m - border_m).abs() < half_width_m { 0.5 / half_width_m } else { 0.0 }
 }
 
 /// Distances at which a level has any opacity: `(nearest, farthest)`, m; the coarsest reaches to infinity.
@@ -76,6 +92,19 @@ mod tests {
         assert_eq!(band_opacity(0, 21.1), 0.0);
         assert!((band_opacity(1, 20.0) - 0.5).abs() < 1e-6);
         assert_eq!(band_opacity(7, 20.0), 0.0, "a level that does not exist is never seen");
+    }
+
+    #[test]
+    fn slopes_agree_with_differences() {
+        // A power of two, so that both ends are exact.
+        const STEP_M: f32 = 1.0 / 128.0;
+        for level in 0..=N_LEVELS as u8 {
+            for distance_m in [5.0, 19.5, 20.5, 25.0, 39.0, 41.0, 78.0, 83.0, 100.0, 155.0, 166.0, 500.0] {
+                let [up, down] = [STEP_M, -STEP_M].map(|step| band_opacity(level, distance_m + step));
+                let (got, difference) = (band_opacity_slope(level, distance_m), (up - down) / (2.0 * STEP_M));
+                assert!((got - difference).abs() < 1e-4, "level {level} at {distance_m} m: {got}, {difference}");
+            }
+        }
     }
 
     #[test]

@@ -23,6 +23,7 @@ const STEP: StepSettings = StepSettings {
     progress: 0.0,
     weights: LossWeights { isotropy: 0.0, ..LossWeights::METHOD },
     decoder_row: None,
+    pose_gradient: false,
 };
 
 /// Step sizes of a learned decoder: colors only, and slowly, because the stored numbers learn fast beside it. Held out at

@@ -26,8 +26,8 @@ pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRo
 pub use kilogs_core::map::{AnchorFeature, AnchorHeader, DecoderShape, GaussianParams};
 pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
-    DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, StepReport, StepSettings,
-    TargetImage, TrainingView,
+    DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, PoseGradient, StepReport,
+    StepSettings, TargetImage, TrainingView,
 };
 
 use kilogs_core::map::numbers;

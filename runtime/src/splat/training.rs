@@ -163,6 +163,18 @@ impl LearningRates {
         exposure: LearningRate::constant(0.001),
         decoder: DecoderRates::FROZEN,
     };
+
+    /// Nothing learns: no number changes, and none of what the optimizer remembers.
+    pub const FROZEN: Self = Self {
+        offset: LearningRate::constant(0.0),
+        log_scale: LearningRate::constant(0.0),
+        rotation: LearningRate::constant(0.0),
+        opacity: LearningRate::constant(0.0),
+        color: LearningRate::constant(0.0),
+        background: LearningRate::constant(0.0),
+        exposure: LearningRate::constant(0.0),
+        decoder: DecoderRates::FROZEN,
+    };
 }
 
 /// Factors of the loss terms (method.md 10).
@@ -196,12 +208,25 @@ pub struct StepSettings {
     pub weights: LossWeights,
     /// Chunk row whose decoder learns; those of all others are frozen. Features learn whatever their row.
     pub decoder_row: Option<u16>,
+    /// Also find [`StepReport::pose_gradient`], which costs a little.
+    pub pose_gradient: bool,
 }
 
 impl StepSettings {
     /// The method's weights with rates for directly trained Gaussians.
     pub const fn direct(progress: f32) -> Self {
-        Self { rates: LearningRates::DIRECT, progress, weights: LossWeights::METHOD, decoder_row: None }
+        Self {
+            rates: LearningRates::DIRECT,
+            progress,
+            weights: LossWeights::METHOD,
+            decoder_row: None,
+            pose_gradient: false,
+        }
+    }
+
+    /// The same, but nothing is learnt: with `pose_gradient`, a step that only looks for where the camera is.
+    pub const fn frozen(self) -> Self {
+        Self { rates: LearningRates::FROZEN, ..self }
     }
 }
 
@@ -224,6 +249,14 @@ pub struct LossTerms {
     pub total: f32,
 }
 
+/// Gradient with respect to the tangent `[omega, upsilon]` (rad, m) at 0 of the left increment
+/// `exp(tangent) * camera_from_map` (see [`kilogs_core::conventions`]).
+///
+/// It goes through all that a pose changes continuously: means, covariances and the linearisation of the projection,
+/// depths, the fading between levels, the sky's directions, and what a learned decoder makes of the place it is seen from.
+/// What moves in steps is left out, as in every gradient of a splat: where it ends, and which are in front.
+pub type PoseGradient = [f64; 6];
+
 /// What one step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepReport {
@@ -231,6 +264,9 @@ pub struct StepReport {
     pub loss: LossTerms,
     /// Size of the work; `refused` when the view or a slice did not fit, and nothing was changed.
     pub stats: RenderStats,
+    /// Gradient of [`LossTerms::total`] with respect to the view's pose before the step, when
+    /// [`StepSettings::pose_gradient`] asks for it; devices do not find it yet.
+    pub pose_gradient: Option<PoseGradient>,
 }
 
 #[cfg(test)]

@@ -2,24 +2,20 @@
 
 use super::anchors::{Anchors, slot_bytes};
 use super::cull::KeyframeNumbers;
-use super::decode::{N_PARAMS, group};
-use super::decode_anchors::SeenAnchors;
-use super::decode_anchors_backward::{DecoderGradients, ShownGradients, decoder_gradient_bytes};
-use super::decoders::{DecoderRule, Decoders, decoder_row_bytes};
+use super::decode_anchors_backward::{DecoderGradients, decoder_gradient_bytes};
+use super::decoders::{Decoders, decoder_row_bytes};
 use super::draw::{Drawn, Machine, Map, ViewBuffers};
 use super::exposures::{EXPOSURE_BYTES, Exposures};
 use super::features::{FEATURE_BYTES, Features};
-use super::loss::{ExposureGradient, LossBuffers, LossInput, N_DRAWN, TRAINING_PIXEL_BYTES};
+use super::learn::Collected;
+use super::loss::{LossBuffers, N_DRAWN, TRAINING_PIXEL_BYTES};
 use super::simd::{Dispatch, SimdLevel};
 use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
 use super::splats::{Lists, PAIR_BYTES, ROW_ENTRY_BYTES, VISIBLE_BYTES};
-use super::splatting::CameraView;
-use super::update::{UpdateRule, UpdateTarget, update};
 use crate::pool::Pool;
 use crate::splat::{
-    AnchorFeature, AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, LearningRates,
-    MemoryRow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView,
-    View,
+    AnchorFeature, AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, MemoryRow,
+    RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView, View,
 };
 use kilogs_core::map::decoder::NO_FEATURE;
 use zerocopy::FromZeros;
@@ -27,16 +23,16 @@ use zerocopy::FromZeros;
 /// Splatting on the processor.
 pub struct CpuBackend {
     pub(super) capacities: Capacities,
-    pool: Pool,
-    dispatch: Dispatch,
+    pub(super) pool: Pool,
+    pub(super) dispatch: Dispatch,
     pub(super) anchors: Anchors,
-    features: Features,
-    decoders: Decoders,
+    pub(super) features: Features,
+    pub(super) decoders: Decoders,
     pub(super) decoder_grads: DecoderGradients,
     placements: Vec<KeyframePlacement>,
     pub(super) sky: Sky,
-    exposures: Exposures,
-    view: ViewBuffers,
+    pub(super) exposures: Exposures,
+    pub(super) view: ViewBuffers,
     pub(super) loss: LossBuffers,
 }
 
@@ -150,114 +146,10 @@ impl CpuBackend {
         };
         self.view.draw(machine, &map, view)
     }
-
-    /// Backward pass and step; returns the sum of the visible Gaussians' anisotropies.
-    pub(super) fn learn(&mut self, drawn: &Drawn, rule: &LearnRule, collected: Collected<'_>) -> f64 {
-        let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
-        let n_pixels = drawn.grid.n_pixels();
-        let upstream = self.loss.gradients(n_pixels);
-        self.view.draw_backward(machine, drawn, upstream);
-        let transmittance = self.view.drawn(n_pixels)[4];
-        let grad_rgb = [upstream[0], upstream[1], upstream[2]];
-        self.sky.gradients(&self.pool, self.dispatch, &drawn.rays, &drawn.grid, transmittance, grad_rgb);
-        self.view.clock.finish("sky");
-        let ViewBuffers { lists, keyframes, shown, .. } = &mut self.view;
-        let view = CameraView { keyframes, camera: drawn.camera, grid: drawn.grid };
-        let shown = self.decoders.is_learned().then_some(shown.as_mut_slice());
-        let target = UpdateTarget { anchors: &mut self.anchors, shown, collected: collected.params };
-        let anisotropy = update(machine, view, drawn.n_candidates, &rule.update, target, lists);
-        self.view.clock.finish("update");
-        self.learn_decoder(&rule.decoder, collected.features);
-        anisotropy
-    }
-
-    /// From the gradients that `update` left in the place of what was drawn to features and decoder.
-    fn learn_decoder(&mut self, rule: &DecoderRule, collected: Option<&mut [AnchorFeature]>) {
-        let only_collects = collected.is_some();
-        if !self.decoders.is_learned() || (rule.is_frozen() && !only_collects) {
-            return;
-        }
-        let machine = Machine { pool: &self.pool, dispatch: self.dispatch };
-        let seen = SeenAnchors {
-            fixed: self.anchors.fixed(),
-            decoders: &self.decoders,
-            keyframes: &self.view.keyframes,
-            cameras_in_keyframe_m: &self.view.cameras_in_keyframe_m,
-        };
-        let visible = &self.view.lists.visible_bits[..self.anchors.slots_end];
-        let grads = ShownGradients { visible, grads: &self.view.shown };
-        self.decoder_grads.find(machine, seen, rule, grads, self.features.storage(collected));
-        if !only_collects {
-            self.decoders.step(rule, self.decoder_grads.total());
-        }
-        self.view.clock.finish("decode_backward");
-    }
-
-    /// Everything of a training step but the steps of background and exposure.
-    pub(super) fn pass(
-        &mut self,
-        training: &TrainingView<'_>,
-        settings: &StepSettings,
-        collected: Collected<'_>,
-    ) -> Pass {
-        let drawn = self.draw(&training.view);
-        let input = LossInput {
-            width: drawn.grid.width,
-            target: training.target,
-            depth: training.depth,
-            exposure: training.exposure_slot.and_then(|slot| self.exposures.get(slot)),
-            weights: settings.weights,
-        };
-        let planes = self.view.drawn(drawn.grid.n_pixels());
-        let (mut loss, exposure_gradient) = self.loss.evaluate(&self.pool, self.dispatch, &input, planes);
-        self.view.clock.finish("loss");
-        let n_visible = drawn.n_splats.max(1) as f32;
-        let rule = LearnRule {
-            update: UpdateRule {
-                rates: rates_per_number(&settings.rates, settings.progress),
-                isotropy_weight: settings.weights.isotropy / n_visible,
-            },
-            decoder: DecoderRule::at(&settings.rates.decoder, settings.decoder_row, settings.progress),
-        };
-        loss.isotropy = self.learn(&drawn, &rule, collected) as f32 / n_visible;
-        loss.total += settings.weights.isotropy * loss.isotropy;
-        Pass { report: StepReport { loss, stats: drawn.stats }, exposure_gradient }
-    }
-}
-
-/// What one pass over a training view found.
-pub(super) struct Pass {
-    pub(super) report: StepReport,
-    exposure_gradient: ExposureGradient,
-}
-
-/// How everything steps that is not of the view itself.
-pub(super) struct LearnRule {
-    pub(super) update: UpdateRule,
-    pub(super) decoder: DecoderRule,
-}
-
-/// Where gradients go instead of a step being taken.
-#[derive(Default)]
-pub(super) struct Collected<'a> {
-    /// One element per Gaussian of every slot.
-    pub(super) params: Option<&'a mut [[f32; N_PARAMS]]>,
-    /// One element per slot.
-    pub(super) features: Option<&'a mut [AnchorFeature]>,
 }
 
 fn refused_step() -> StepReport {
     StepReport { stats: RenderStats { refused: true, ..RenderStats::default() }, ..StepReport::default() }
-}
-
-fn rates_per_number(rates: &LearningRates, progress: f32) -> [f32; N_PARAMS] {
-    let mut out = [0.0; N_PARAMS];
-    out[group::OFFSET..group::LOG_SCALE].fill(rates.offset.at(progress));
-    out[group::LOG_SCALE..group::ROTATION].fill(rates.log_scale.at(progress));
-    out[group::ROTATION..group::OPACITY].fill(rates.rotation.at(progress));
-    out[group::OPACITY] = rates.opacity.at(progress);
-    out[group::COLOR..].fill(rates.color.at(progress));
-    out
 }
 
 impl SplatBackend for CpuBackend {

@@ -204,11 +204,27 @@ fn slot_bits(gaussians: &ShownGaussians<'_>, slot: usize, keyframes: &[KeyframeN
 /// Share of its opacity that an anchor keeps at its distance from the camera (see [`lod`]).
 #[inline(always)]
 pub fn band_opacity_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> f32 {
+    let (_, distance_m) = anchor_in_camera(header, camera_from_keyframe);
+    lod::band_opacity(header.level, distance_m)
+}
+
+/// Change of the natural logarithm of [`band_opacity_of`] per metre that the anchor moves in the camera's frame.
+pub fn band_fade_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> [f32; 3] {
+    let (in_camera_m, distance_m) = anchor_in_camera(header, camera_from_keyframe);
+    match lod::band_opacity_slope(header.level, distance_m) {
+        0.0 => [0.0; 3],
+        slope => in_camera_m.map(|v| slope / lod::band_opacity(header.level, distance_m) * v / distance_m),
+    }
+}
+
+/// Position and distance of an anchor as the camera sees it, m.
+#[inline(always)]
+fn anchor_in_camera(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> ([f32; 3], f32) {
     let m = camera_from_keyframe;
     let [x, y, z] = header.position_in_keyframe_m;
     let in_camera = [0, 1, 2].map(|r| m[r * 3] * x + m[r * 3 + 1] * y + m[r * 3 + 2] * z + m[9 + r]);
     let distance2_m2 = in_camera[0] * in_camera[0] + in_camera[1] * in_camera[1] + in_camera[2] * in_camera[2];
-    lod::band_opacity(header.level, distance2_m2.sqrt())
+    (in_camera, distance2_m2.sqrt())
 }
 
 /// Largest of its scales, in units of the anchor's extent.

@@ -10,7 +10,7 @@ use super::packet::{as_gaussians, as_numbers, as_numbers_mut};
 use super::splats::{MAX_JOBS, piece_len, take_front};
 use crate::splat::kernel_constants::MAX_SIGMAS;
 use crate::splat::{AnchorFeature, GaussianParams, KeyframePlacement, View};
-use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, view_input};
+use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, VIEW_INPUTS, view_input, view_input_backward};
 use pulp::{Simd, WithSimd};
 
 /// Anchors, and from where they are seen.
@@ -29,12 +29,25 @@ pub struct SeenAnchors<'a> {
 impl SeenAnchors<'_> {
     /// What the decoder reads of an anchor.
     pub fn inputs(&self, slot: usize, feature: &AnchorFeature, inputs: &mut [f32; INPUTS]) {
-        let header = &self.fixed.headers[slot];
-        let [x, y, z] = header.position_in_keyframe_m;
-        let [cx, cy, cz] = self.cameras_in_keyframe_m[header.keyframe_row as usize];
         let (features, seen) = inputs.split_at_mut(FEATURE_LEN);
         features.copy_from_slice(feature);
-        seen.copy_from_slice(&view_input([x - cx, y - cy, z - cz]));
+        seen.copy_from_slice(&view_input(self.anchor_from_camera_m(slot)));
+    }
+
+    /// How far the camera moves along its own axes for the loss to grow fastest, per m: the gradient with respect to
+    /// the `upsilon` of its pose, from that with respect to the inputs that say from where an anchor is seen.
+    pub fn camera_gradient(&self, slot: usize, view_grads: &[f32; VIEW_INPUTS]) -> [f32; 3] {
+        let [x, y, z] = view_input_backward(self.anchor_from_camera_m(slot), view_grads);
+        let m = &self.keyframes[self.fixed.headers[slot].keyframe_row as usize];
+        // d(anchor_from_camera) = linear^T upsilon / scale^2, because the camera is at -R^T t in the map.
+        let scale2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
+        [0, 1, 2].map(|r| (m[3 * r] * x + m[3 * r + 1] * y + m[3 * r + 2] * z) / scale2)
+    }
+
+    fn anchor_from_camera_m(&self, slot: usize) -> [f32; 3] {
+        let header = &self.fixed.headers[slot];
+        let camera_m = &self.cameras_in_keyframe_m[header.keyframe_row as usize];
+        [0, 1, 2].map(|i| header.position_in_keyframe_m[i] - camera_m[i])
     }
 }
 

@@ -10,12 +10,13 @@ use super::decode_anchors::SeenAnchors;
 use super::decoders::{Decoder, DecoderRule, transpose};
 use super::draw::Machine;
 use super::features::FeatureStorage;
-use super::lane::Wide;
+use super::lane::{Lane, Wide};
 use super::layers::{BATCH, Layer, MAX_OUTPUTS, add_products, feature_grads, hidden_grads, hidden_layer};
 use super::packet::as_arrays;
+use super::pose::PoseSum;
 use crate::splat::kernel_constants::MAX_GRADIENT;
 use crate::splat::{Capacities, DecoderShape, GaussianParams};
-use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS};
+use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, VIEW_INPUTS};
 use pulp::{Simd, WithSimd};
 
 /// Bands of slots whose gradients are summed on their own.
@@ -57,7 +58,8 @@ impl DecoderGradients {
         &self.total
     }
 
-    /// Finds the gradients of the decoder of `rule.row`, and takes a step with the features of all visible anchors.
+    /// Finds the gradients of the decoder of `rule.row`, takes a step with the features of all visible anchors, and
+    /// returns the gradient of the camera's pose through what the decoders read of it, 0 unless it is wanted.
     pub fn find(
         &mut self,
         machine: Machine<'_>,
@@ -65,7 +67,8 @@ impl DecoderGradients {
         rule: &DecoderRule,
         shown: ShownGradients<'_>,
         mut features: FeatureStorage<'_>,
-    ) {
+        pose_gradient: bool,
+    ) -> PoseSum {
         let n_slots = shown.visible.len();
         let len = n_slots.div_ceil(BANDS).max(1);
         let mut jobs = heapless::Vec::<BandJob<'_>, BANDS>::new();
@@ -73,13 +76,17 @@ impl DecoderGradients {
             let first_slot = (i * len).min(n_slots);
             let end_slot = (first_slot + len).min(n_slots);
             let features = features.take_front(end_slot - first_slot);
-            if jobs.push(BandJob { seen, rule, shown, first_slot, end_slot, features, sums }).is_err() {
+            let pose = pose_gradient.then(PoseSum::default);
+            if jobs.push(BandJob { seen, rule, shown, first_slot, end_slot, features, sums, pose }).is_err() {
                 unreachable!("there are BANDS sums");
             }
         }
         machine.pool.for_each(&mut jobs, |_, job| machine.dispatch.run(RunBandJob(job)));
+        let mut pose = PoseSum::default();
+        jobs.iter().filter_map(|job| job.pose).for_each(|part| pose.add(part.0));
         drop(jobs);
         self.add_bands();
+        pose
     }
 
     fn add_bands(&mut self) {
@@ -104,6 +111,7 @@ struct BandJob<'a> {
     end_slot: usize,
     features: FeatureStorage<'a>,
     sums: &'a mut [f32],
+    pose: Option<PoseSum>,
 }
 
 impl BandJob<'_> {
@@ -217,7 +225,33 @@ impl Batch {
                 }
             }
         }
+        if let Some(pose) = &mut job.pose {
+            self.add_pose_gradients(simd, decoder, n, &job.seen, pose);
+        }
         self.step_features(simd, decoder, n, job);
+    }
+
+    #[inline(always)]
+    fn add_pose_gradients<S: Simd>(
+        &self,
+        simd: S,
+        decoder: &Decoder,
+        n: usize,
+        seen: &SeenAnchors<'_>,
+        pose: &mut PoseSum,
+    ) {
+        for (slot, hidden_grads) in self.slots[..n].iter().zip(&self.hidden_grads.0) {
+            let mut view_grads = [0.0; VIEW_INPUTS];
+            for (grad, weights) in view_grads.iter_mut().zip(decoder.view_weights().chunks_exact(HIDDEN)) {
+                let mut sum = Wide::splat(simd, 0.0);
+                for first in (0..HIDDEN).step_by(S::F32_LANES) {
+                    sum = Wide::load(simd, &weights[first..]).mul_add(Wide::load(simd, &hidden_grads[first..]), sum);
+                }
+                *grad = sum.sum();
+            }
+            let [x, y, z] = seen.camera_gradient(*slot, &view_grads).map(f64::from);
+            pose.add([0.0, 0.0, 0.0, x, y, z]);
+        }
     }
 
     #[inline(always)]

@@ -148,6 +148,11 @@ impl Decoder {
         &self.weights[self.shape.hidden_weights()]
     }
 
+    /// The part of `W1` that reads from where an anchor is seen, input by input.
+    pub fn view_weights(&self) -> &[f32] {
+        &self.hidden_weights()[FEATURE_LEN * HIDDEN..]
+    }
+
     /// `b1`.
     pub fn hidden_bias(&self) -> &[f32] {
         &self.weights[self.shape.hidden_bias()]

@@ -63,6 +63,8 @@ pub struct Map<'a> {
 /// What the backward pass must know of the forward pass.
 #[derive(Clone, Copy)]
 pub struct Drawn {
+    /// From where it was drawn.
+    pub view: View,
     /// Size of the picture.
     pub grid: Grid,
     /// The camera.
@@ -121,7 +123,7 @@ impl ViewBuffers {
             overflow,
             refused: false,
         };
-        Drawn { grid, camera, rays, n_candidates, n_splats, stats }
+        Drawn { view: *view, grid, camera, rays, n_candidates, n_splats, stats }
     }
 
     /// Fills `shown` where the decoder is learned.

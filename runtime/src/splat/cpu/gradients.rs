@@ -1,8 +1,9 @@
 //! Gradients without a step, for tests and for the conformance of other backends.
 
-use super::backend::{Collected, CpuBackend, LearnRule};
+use super::backend::CpuBackend;
 use super::decode::N_PARAMS;
 use super::decoders::DecoderRule;
+use super::learn::{Collected, LearnRule};
 use super::update::UpdateRule;
 use crate::splat::{AnchorFeature, StepReport, StepSettings, TrainingView, View};
 use kilogs_core::map::decoder::NO_FEATURE;
@@ -65,7 +66,7 @@ impl CpuBackend {
         let drawn = self.draw(view);
         self.loss.set_gradients(upstream);
         params.fill([0.0; N_PARAMS]);
-        let update = UpdateRule { rates: [0.0; N_PARAMS], isotropy_weight: 0.0 };
+        let update = UpdateRule { rates: [0.0; N_PARAMS], isotropy_weight: 0.0, pose_gradient: false };
         let rule = LearnRule { update, decoder: DecoderRule::FROZEN };
         self.learn(&drawn, &rule, Collected { params: Some(params), features: None });
         Some(self.sky.last_gradients())

@@ -123,6 +123,33 @@ pub fn project<L: Lane>(camera: &CameraConstants, placement: &CameraFromKeyframe
     }
 }
 
+/// Gradients with respect to what is projected.
+#[derive(Clone, Copy, Debug)]
+pub struct ProjectedGradient<L> {
+    /// With respect to the Gaussian in its keyframe's frame.
+    pub gaussian: Decoded<L>,
+    mean_in_camera: [L; 3],
+    root: [[L; 3]; 3],
+}
+
+impl<L: Lane> ProjectedGradient<L> {
+    /// With respect to a left increment `[omega, upsilon]` of the camera's pose: a mean moves by `omega x mean +
+    /// upsilon`, the columns of the covariance's root turn by `omega x column`.
+    ///
+    /// # Source
+    /// Sola, Deray & Atchuthan 2018, eq. 182-183.
+    #[inline(always)]
+    pub fn pose(&self, p: &Projected<L>) -> [L; 6] {
+        let mut turn = cross(&p.mean_in_camera, &self.mean_in_camera);
+        for j in 0..3 {
+            let by_axis = cross(&column(&p.root, j), &column(&self.root, j));
+            turn = each!(i in 3 => turn[i] + by_axis[i]);
+        }
+        let [x, y, z] = self.mean_in_camera;
+        [turn[0], turn[1], turn[2], x, y, z]
+    }
+}
+
 /// Gradients with respect to the decoded Gaussian, from those with respect to its splat.
 ///
 /// # Source
@@ -134,7 +161,7 @@ pub fn project_backward<L: Lane>(
     g: &Decoded<L>,
     p: &Projected<L>,
     grad: &SplatGradient<L>,
-) -> Decoded<L> {
+) -> ProjectedGradient<L> {
     let grad_root_px = root_px_backward(p, &grad.conic);
     let [x, y, z] = p.mean_in_camera;
     let inverse_z = z.constant(1.0) / z;
@@ -157,13 +184,14 @@ pub fn project_backward<L: Lane>(
     }
     let grad_oriented = multiply_transposed(&placement.linear, &grad_root);
     let grad_rotation = each!(i in 3 => each!(j in 3 => grad_oriented[i][j] * g.scale[j]));
-    Decoded {
+    let gaussian = Decoded {
         mean: each!(j in 3 => dot(&column(&placement.linear, j), &grad_mean)),
         rotation: rotation_backward(&g.rotation, &grad_rotation),
         scale: each!(j in 3 => dot(&column(&p.rotation, j), &column(&grad_oriented, j))),
         opacity: grad.opacity,
         color: grad.color,
-    }
+    };
+    ProjectedGradient { gaussian, mean_in_camera: grad_mean, root: grad_root }
 }
 
 #[inline(always)]

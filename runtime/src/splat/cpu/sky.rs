@@ -165,6 +165,13 @@ impl Rays {
         }
     }
 
+    /// Ray of the middle of a pixel, not normalised.
+    #[inline(always)]
+    pub fn direction(&self, x: usize, y: usize) -> [f64; 3] {
+        let (x_px, y_px) = (x as f64 + 0.5, y as f64 + 0.5);
+        each!(i in 3 => self.corner[i] + x_px * self.right[i] + y_px * self.down[i])
+    }
+
     /// Table coordinates of the pixel (x, y): column in 0..=[`BACKGROUND_COLUMNS`] and row, both of texel centres.
     #[inline(always)]
     pub fn texel<L: Lane>(&self, x_px: L, y_px: L) -> [L; 2] {
@@ -205,15 +212,18 @@ fn atan2<L: Lane>(y: L, x: L) -> L {
 }
 
 /// Where a pixel falls between four texels.
-struct Corners {
-    at: [usize; 4],
+pub struct Corners {
+    /// The texels: left and right of the upper row, then of the lower one.
+    pub at: [usize; 4],
     weight: [f32; 4],
+    /// Place between left and right, and between up and down, 0 to 1.
+    pub between: [f32; 2],
 }
 
 impl Corners {
     /// `column` is shifted by one so that it is never negative.
     #[inline(always)]
-    fn new(column: f32, row: f32) -> Self {
+    pub fn new(column: f32, row: f32) -> Self {
         let (left, top) = (column as usize, row as usize);
         let (fx, fy) = (column - left as f32, row - top as f32);
         let columns = [(left + BACKGROUND_COLUMNS - 1) % BACKGROUND_COLUMNS, left % BACKGROUND_COLUMNS];
@@ -221,15 +231,17 @@ impl Corners {
         Self {
             at: each!(i in 4 => rows[i / 2] * BACKGROUND_COLUMNS + columns[i % 2]),
             weight: [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy],
+            between: [fx, fy],
         }
     }
 }
 
 /// Pixels of a row that are looked up together.
-const LOOKUP: usize = 16;
+pub const LOOKUP: usize = 16;
 
+/// Columns and rows of pixels from (x, y) to the right.
 #[inline(always)]
-fn lookup_columns<S: Simd>(simd: S, rays: &Rays, x: usize, y: usize) -> [[f32; LOOKUP]; 2] {
+pub fn lookup_columns<S: Simd>(simd: S, rays: &Rays, x: usize, y: usize) -> [[f32; LOOKUP]; 2] {
     let mut out = [[0.0; LOOKUP]; 2];
     for lane in (0..LOOKUP).step_by(S::F32_LANES) {
         let x_px = Wide::load(simd, &STEPS[lane..]) + Wide::splat(simd, x as f32 + 0.5);

@@ -4,10 +4,12 @@
 
 use super::adam::{BiasCorrection, adam};
 use super::anchors::{Anchors, FixedNumbers, Moments};
+use super::cull::band_fade_of;
 use super::decode::{Decoded, N_PARAMS, decode, decode_backward, group};
 use super::draw::Machine;
 use super::lane::{Lane, Wide, each};
 use super::packet::{PACKET, Packet, PacketLanes, Row, ZERO_ROW, as_arrays_mut};
+use super::pose::PoseSum;
 use super::project::{Projected, SplatGradient, project, project_backward};
 use super::splats::{GRAD_COLOR, GRAD_DEPTH, Lists, MAX_JOBS, N_SPLAT_GRADS, piece_len, take_front};
 use super::splatting::CameraView;
@@ -21,6 +23,23 @@ pub struct UpdateRule {
     pub rates: [f32; N_PARAMS],
     /// Weight of a single Gaussian's anisotropy in the loss.
     pub isotropy_weight: f32,
+    /// Whether the gradient of the camera's pose is wanted.
+    pub pose_gradient: bool,
+}
+
+impl UpdateRule {
+    fn is_frozen(&self) -> bool {
+        self.rates.iter().all(|&rate| rate <= 0.0)
+    }
+}
+
+/// Sums over the visible Gaussians.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct UpdateSums {
+    /// Of their anisotropies.
+    pub anisotropy: f64,
+    /// Of their gradients with respect to the camera's pose, when the rule asks for it.
+    pub pose: PoseSum,
 }
 
 /// What one pass reads and writes.
@@ -33,7 +52,7 @@ pub struct UpdateTarget<'a> {
     pub collected: Option<&'a mut [[f32; N_PARAMS]]>,
 }
 
-/// Takes a step with every visible Gaussian, or only writes the gradients. Returns the sum of the Gaussians' anisotropies.
+/// Takes a step with every visible Gaussian, or only writes the gradients.
 pub fn update(
     machine: Machine<'_>,
     view: CameraView<'_>,
@@ -41,7 +60,7 @@ pub fn update(
     rule: &UpdateRule,
     target: UpdateTarget<'_>,
     lists: &Lists,
-) -> f64 {
+) -> UpdateSums {
     let (fixed, params, moments, steps) = target.anchors.split();
     let shown = target.shown.map(as_arrays_mut);
     let mut storage = Storage { params: as_arrays_mut(params), shown, moments, steps, collected: target.collected };
@@ -55,14 +74,19 @@ pub fn update(
         // Everything up to the first slot of the next piece.
         let end_id = candidates.get(end).map_or(n_gaussians, |&id| id as usize / fixed.k * fixed.k);
         let storage = storage.take_front(end_id - first_id);
-        let job = UpdateJob { view, fixed, lists, rule, start, end, first_id, storage, anisotropy: 0.0 };
+        let job = UpdateJob { view, fixed, lists, rule, start, end, first_id, storage, sums: UpdateSums::default() };
         if jobs.push(job).is_err() {
             unreachable!("piece_len makes at most MAX_JOBS pieces");
         }
         (start, first_id) = (end, end_id);
     }
     machine.pool.for_each(&mut jobs, |_, job| machine.dispatch.run(RunUpdateJob(job)));
-    jobs.iter().map(|job| job.anisotropy).sum()
+    let mut sums = UpdateSums::default();
+    for job in &jobs {
+        sums.anisotropy += job.sums.anisotropy;
+        sums.pose.add(job.sums.pose.0);
+    }
+    sums
 }
 
 /// The first position from `at` on where a new slot begins.
@@ -105,7 +129,7 @@ struct UpdateJob<'a> {
     /// Gaussian of the first element of `storage`.
     first_id: usize,
     storage: Storage<'a>,
-    anisotropy: f64,
+    sums: UpdateSums,
 }
 
 struct RunUpdateJob<'j, 'a>(&'j mut UpdateJob<'a>);
@@ -147,7 +171,10 @@ impl UpdateJob<'_> {
                 work.param_grads[i].store(first, gradient[i]);
             }
         }
-        self.anisotropy += work.anisotropy.0[..ids.len()].iter().map(|&v| f64::from(v)).sum::<f64>();
+        self.sums.anisotropy += work.anisotropy.0[..ids.len()].iter().map(|&v| f64::from(v)).sum::<f64>();
+        if self.rule.pose_gradient {
+            self.add_pose_gradients(ids, work);
+        }
         if let Some(shown) = &mut self.storage.shown {
             for (lane, &id) in ids.iter().enumerate() {
                 shown[id as usize - self.first_id] = core::array::from_fn(|i| work.param_grads[i].0[lane]);
@@ -160,11 +187,28 @@ impl UpdateJob<'_> {
             }
             return;
         }
+        if self.rule.is_frozen() {
+            return;
+        }
         self.gather_moments(ids, work);
         for first in (0..PACKET).step_by(S::F32_LANES) {
             work.step(simd, first, self.rule);
         }
         self.scatter(ids, work);
+    }
+
+    fn add_pose_gradients(&mut self, ids: &[u32], work: &Work) {
+        for (lane, &id) in ids.iter().enumerate() {
+            let mut grad: [f64; 6] = core::array::from_fn(|i| f64::from(work.pose_grads[i].0[lane]));
+            let header = &self.fixed.headers[id as usize / self.fixed.k];
+            let fade = band_fade_of(header, &self.view.keyframes[header.keyframe_row as usize]);
+            // dL/d(ln opacity) = -(sum dL/dq), because alpha = opacity exp(-q).
+            let by_log_opacity = -work.splat_grads[0].0[lane];
+            for i in 0..3 {
+                grad[3 + i] += f64::from(by_log_opacity * fade[i]);
+            }
+            self.sums.pose.add(grad);
+        }
     }
 
     fn gather_moments(&mut self, ids: &[u32], work: &mut Work) {
@@ -197,6 +241,7 @@ struct Work {
     packet: Packet,
     splat_grads: [Row; N_SPLAT_GRADS],
     param_grads: [Row; N_PARAMS],
+    pose_grads: [Row; 6],
     first: [Row; N_PARAMS],
     second: [Row; N_PARAMS],
     steps: Row,
@@ -209,6 +254,7 @@ impl Work {
             packet: Packet::new(),
             splat_grads: [ZERO_ROW; N_SPLAT_GRADS],
             param_grads: [ZERO_ROW; N_PARAMS],
+            pose_grads: [ZERO_ROW; 6],
             first: [ZERO_ROW; N_PARAMS],
             second: [ZERO_ROW; N_PARAMS],
             steps: Row([1.0; PACKET]),
@@ -239,7 +285,13 @@ impl Work {
         }
         let splat = from_moments(&sums, &decoded, &projected);
         let grad = project_backward(&job.view.camera, &lanes.placement, &decoded, &projected, &splat);
-        let mut out = decode_backward(&lanes.anchor, &lanes.params, &decoded, &grad);
+        if job.rule.pose_gradient {
+            let pose = grad.pose(&projected);
+            for i in 0..6 {
+                self.pose_grads[i].store(first, pose[i]);
+            }
+        }
+        let mut out = decode_backward(&lanes.anchor, &lanes.params, &decoded, &grad.gaussian);
         let log_scale = each!(i in 3 => lanes.params[group::LOG_SCALE + i]);
         let (anisotropy, isotropy_grad) = anisotropy(&log_scale);
         self.anisotropy.store(first, anisotropy);

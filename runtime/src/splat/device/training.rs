@@ -65,7 +65,10 @@ impl<E: Executor> DeviceBackend<E> {
         let read = self.device.call(|e| e.download(Buffer::LossReport, 0, found.as_mut_bytes()));
         read.then(|| {
             let loss = loss_terms(&found, &block, &stats);
-            (StepReport { loss, stats }, exposure_gradient(&found, training.exposure_slot.is_some()))
+            (
+                StepReport { loss, stats, pose_gradient: None },
+                exposure_gradient(&found, training.exposure_slot.is_some()),
+            )
         })
     }
 

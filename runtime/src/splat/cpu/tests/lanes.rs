@@ -95,7 +95,7 @@ impl Case {
         let g = self.decoded(params);
         let p = project(&CAMERA, &self.placement, &g);
         let grad = project_backward(&CAMERA, &self.placement, &g, &p, &self.upstream);
-        decode_backward(&self.anchor, params, &g, &grad)
+        decode_backward(&self.anchor, params, &g, &grad.gaussian)
     }
 }
 

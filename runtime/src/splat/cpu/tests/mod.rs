@@ -8,5 +8,7 @@ mod fitting;
 pub mod golden;
 mod lanes;
 mod loss;
+pub mod pose;
 mod reference;
 pub mod scenes;
+pub mod views;
