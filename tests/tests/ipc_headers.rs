@@ -42,9 +42,13 @@ impl Rogue {
 
 fn open(purpose: &str) -> (FrameInput, String) {
     let service = unique_service_name(purpose);
+    (open_at(&service), service)
+}
+
+fn open_at(service: &str) -> FrameInput {
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: Some(PixelFormat::Mono8) };
-    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT };
-    (FrameInput::open(&settings).expect("shared memory"), service)
+    let settings = InputSettings { service: service.to_owned(), format, slots: FrameSlots::DEFAULT };
+    FrameInput::open(&settings).expect("shared memory")
 }
 
 /// The next event that is about a frame: its sequence number, or why it was refused.
@@ -131,6 +135,51 @@ fn one_far_time_is_refused_and_a_clock_that_was_set_is_followed() {
         let jump_ns = seen_ns[3] - seen_ns[0];
         assert!(jump_ns < 60_000_000_000, "{purpose}: time goes on, it does not jump: {seen_ns:?}");
     }
+}
+
+/// Sends frames with these sequence numbers to a tracker that comes after or before the camera; the index that each gets
+/// in the run, or `None` when refused, and how many frames are missing.
+fn indices_of(camera_is_first: bool, sent: &[u64]) -> (Vec<Option<u64>>, u64) {
+    let service = unique_service_name("numbers");
+    let early = camera_is_first.then(|| Rogue::new(&service));
+    let mut input = open_at(&service);
+    let rogue = early.unwrap_or_else(|| Rogue::new(&service));
+    let mut seen = Vec::new();
+    for (nth, &sequence) in sent.iter().enumerate() {
+        rogue.send(FrameHeader::packed(sequence, 1000 * (nth as u64 + 1), SIZE, PixelFormat::Mono8));
+        seen.push(loop {
+            match input.wait(PATIENCE).expect("shared memory") {
+                InputEvent::Frame(frame) => break Some(frame.frame_index()),
+                InputEvent::Refused(_) => break None,
+                _ => (),
+            }
+        });
+    }
+    let n_indices = seen.iter().flatten().last().map_or(0, |last| last + 1);
+    assert_eq!(input.n_frame_indices(), n_indices, "{seen:?}");
+    (seen, input.counts().n_missing)
+}
+
+#[test]
+fn a_damaged_number_makes_no_rows_and_the_frames_after_it_get_through() {
+    const FAR: u64 = 1 << 40;
+    const RUNNING: u64 = 5000;
+    let check = |camera_is_first: bool, sent: &[u64], indices: &[Option<u64>], n_missing: u64| {
+        let seen = indices_of(camera_is_first, sent);
+        assert_eq!(seen, (indices.to_vec(), n_missing), "{sent:?}, camera first: {camera_is_first}");
+    };
+    // What a camera numbered before its first frame arrived is missing, unless it was running before the tracker.
+    check(false, &[2, 3, 5], &[Some(2), Some(3), Some(5)], 3);
+    check(true, &[RUNNING, RUNNING + 1, RUNNING + 3], &[Some(0), Some(1), Some(3)], 1);
+    for camera_is_first in [false, true] {
+        check(camera_is_first, &[FAR, 0, 1, 2], &[None, Some(0), Some(1), Some(2)], 0);
+        check(camera_is_first, &[0, FAR, 2], &[Some(0), None, Some(2)], 1);
+        // A camera that has run for years, and one that counts anew.
+        check(camera_is_first, &[FAR, FAR + 1, FAR + 3], &[None, Some(0), Some(2)], 1);
+        check(camera_is_first, &[0, 1, FAR, FAR + 1], &[Some(0), Some(1), None, Some(2)], 0);
+    }
+    // A number that is too high and not far enough to be noticed does not end the run.
+    check(true, &[RUNNING, 1, 2, 3], &[Some(0), None, Some(1), Some(2)], 0);
 }
 
 #[test]

@@ -13,6 +13,7 @@ pub struct BorrowedFrame<'input> {
     pub(super) sample: Sample<Ipc, [FramePage], FrameHeader>,
     pub(super) pixel_format: PixelFormat,
     pub(super) timestamp_ns: TimestampNs,
+    pub(super) frame_index: u64,
     pub(super) link: &'input CameraLink,
 }
 
@@ -25,6 +26,12 @@ impl BorrowedFrame<'_> {
     /// Middle of the exposure. Goes on where a camera process was started anew; otherwise that of the header.
     pub fn timestamp_ns(&self) -> TimestampNs {
         self.timestamp_ns
+    }
+
+    /// Which frame of the run it is, missing ones included. Goes on where a camera process was started anew; otherwise
+    /// the header's sequence number, counted from the first frame where the camera was there before the tracker.
+    pub fn frame_index(&self) -> u64 {
+        self.frame_index
     }
 
     /// How the pixels are to be read.

@@ -15,6 +15,7 @@ use kilogs_core::frame::PixelFormat;
 use zerocopy::IntoBytes;
 
 use super::camera_link::CameraLink;
+use super::session::{Judgement, Session};
 use super::{BorrowedFrame, CameraState, InputCounts, InputError};
 use crate::seal;
 
@@ -69,24 +70,16 @@ pub struct FrameInput {
     /// Acknowledged with the next wait, so that the camera process outlives the event that tells of its end.
     unacknowledged_end: Option<u64>,
     last_frame: Option<LastFrame>,
+    /// Index of the next frame in the run, however often a camera begins to count anew.
+    next_index: u64,
+    /// A camera process was there before this input.
+    was_there_first: bool,
     opened: Instant,
     subscriber: Subscriber<Ipc, [FramePage], FrameHeader>,
     listener: Listener<Ipc>,
     frames: FrameService,
     link: CameraLink,
     _node: IpcNode,
-}
-
-/// What is known of the camera process that sends at present.
-#[derive(Clone, Copy, Debug)]
-struct Session {
-    camera: UniquePublisherId,
-    previous: Option<PreviousFrame>,
-    has_ended: bool,
-    /// The last frame, refused because its time is far from that of the frame before.
-    far_off: Option<PreviousFrame>,
-    /// Added to its times (wrapping), so that time goes on where a camera process or its clock starts anew.
-    time_shift_ns: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -97,7 +90,7 @@ struct LastFrame {
 
 /// What a sample turned out to be.
 enum Judged {
-    Frame { pixel_format: PixelFormat, timestamp_ns: TimestampNs },
+    Frame { pixel_format: PixelFormat, timestamp_ns: TimestampNs, frame_index: u64 },
     End,
     Refused(HeaderVerdict),
 }
@@ -116,6 +109,7 @@ impl FrameInput {
         let frame_events = ipc::open_events(&node, &frames_name(service))?;
         let listener = frame_events.listener_builder().create().map_err(|e| failed(&e))?;
         let subscriber = frames.subscriber_builder().create().map_err(|e| failed(&e))?;
+        let was_there_first = frames.dynamic_config().number_of_publishers() > 0;
         // Last, because it wakes a waiting camera, which then sends.
         let link = CameraLink::start(service)?;
         Ok(Self {
@@ -127,6 +121,8 @@ impl FrameInput {
             n_cameras: 0,
             unacknowledged_end: None,
             last_frame: None,
+            next_index: 0,
+            was_there_first,
             opened: Instant::now(),
             subscriber,
             listener,
@@ -168,6 +164,11 @@ impl FrameInput {
                 std::thread::yield_now();
             }
         }
+    }
+
+    /// How many indices were given to frames that came or are missing.
+    pub fn n_frame_indices(&self) -> u64 {
+        self.next_index
     }
 
     /// What came in so far.
@@ -230,8 +231,8 @@ impl FrameInput {
         let header = *sample.user_header();
         let sent_bytes = sample.payload().as_bytes().len() as u64;
         match self.judge(&header, sample.header().publisher_id(), sent_bytes) {
-            Judged::Frame { pixel_format, timestamp_ns } => {
-                InputEvent::Frame(BorrowedFrame { sample, pixel_format, timestamp_ns, link: &self.link })
+            Judged::Frame { pixel_format, timestamp_ns, frame_index } => {
+                InputEvent::Frame(BorrowedFrame { sample, pixel_format, timestamp_ns, frame_index, link: &self.link })
             }
             Judged::End => InputEvent::End,
             Judged::Refused(verdict) => {
@@ -244,22 +245,23 @@ impl FrameInput {
 
     fn judge(&mut self, header: &FrameHeader, camera: UniquePublisherId, sent_bytes: u64) -> Judged {
         let Some(mut session) = self.session_of(camera) else { return Judged::Refused(HeaderVerdict::SecondCamera) };
-        let (verdict, is_new_clock) = self.verdict(&mut session, header, sent_bytes);
+        let Judgement { verdict, n_missing, is_new_clock } = session.judge(header, &self.format, sent_bytes);
         let judged = match verdict {
-            HeaderVerdict::Accept { pixel_format, n_missing } => {
+            HeaderVerdict::Accept { pixel_format, .. } => {
                 let timestamp_ns = self.continuous_time(&mut session, header.timestamp_ns, is_new_clock);
                 self.format.pixel_format = Some(pixel_format);
                 self.state = CameraState::Sending;
                 self.last_frame = Some(LastFrame { timestamp_ns, arrived: Instant::now() });
                 self.counts.n_received += 1;
-                self.counts.n_missing = self.counts.n_missing.saturating_add(n_missing);
+                let frame_index = self.skip(n_missing);
+                self.next_index = frame_index + 1;
                 session.previous = Some(PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns });
-                Judged::Frame { pixel_format, timestamp_ns }
+                Judged::Frame { pixel_format, timestamp_ns, frame_index }
             }
-            HeaderVerdict::End { n_missing } => {
+            HeaderVerdict::End { .. } => {
                 session.has_ended = true;
                 self.state = CameraState::Ended;
-                self.counts.n_missing = self.counts.n_missing.saturating_add(n_missing);
+                self.next_index = self.skip(n_missing);
                 self.unacknowledged_end = Some(header.sequence);
                 Judged::End
             }
@@ -269,6 +271,12 @@ impl FrameInput {
         judged
     }
 
+    /// Counts missing frames; the index of the frame behind them.
+    fn skip(&mut self, n_missing: u64) -> u64 {
+        self.counts.n_missing = self.counts.n_missing.saturating_add(n_missing);
+        self.next_index.saturating_add(n_missing)
+    }
+
     /// The session of this camera process; `None` while another one is alive.
     fn session_of(&mut self, camera: UniquePublisherId) -> Option<Session> {
         match self.session {
@@ -276,7 +284,8 @@ impl FrameInput {
             Some(session) if !session.has_ended && self.is_alive(session.camera) => None,
             earlier => {
                 self.counts.n_restarts += u32::from(earlier.is_some());
-                Some(Session { camera, previous: None, has_ended: false, far_off: None, time_shift_ns: 0 })
+                // Whoever came later had nobody to send to before.
+                Some(Session::new(camera, earlier.is_none() && self.was_there_first))
             }
         }
     }
@@ -290,27 +299,6 @@ impl FrameInput {
             CallbackProgression::Continue
         });
         is_alive
-    }
-
-    /// The header's verdict, and whether its clock is a new one. A single time far from the others is refused, lest
-    /// it make all later ones go backwards; a second frame that agrees with it says that the clock was set.
-    fn verdict(&self, session: &mut Session, header: &FrameHeader, sent_bytes: u64) -> (HeaderVerdict, bool) {
-        let verdict = header.judge(&self.format, session.previous, sent_bytes);
-        if !verdict.is_time_jump() {
-            session.far_off = None;
-            return (verdict, false);
-        }
-        let this = PreviousFrame { sequence: header.sequence, timestamp_ns: header.timestamp_ns };
-        let before = session.far_off.replace(this);
-        match before.map(|before| header.judge(&self.format, Some(before), sent_bytes)) {
-            Some(HeaderVerdict::Accept { pixel_format, .. }) => {
-                session.far_off = None;
-                let last_sequence = session.previous.map_or(0, |previous| previous.sequence);
-                let n_missing = header.sequence.saturating_sub(last_sequence + 1);
-                (HeaderVerdict::Accept { pixel_format, n_missing }, true)
-            }
-            _ => (verdict, false),
-        }
     }
 
     /// A camera process that starts anew may start its clock anew, and a clock may be set: times then go on after the

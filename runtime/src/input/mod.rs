@@ -6,6 +6,7 @@ mod camera_link;
 mod counts;
 mod frame_input;
 mod mapping;
+mod session;
 
 pub use borrowed_frame::BorrowedFrame;
 pub use camera_child::CameraChild;

@@ -48,8 +48,6 @@ struct State {
     n_keyframes: u32,
     /// Frames of the camera process that sends at present.
     n_frames_of_camera: u64,
-    first_index: u64,
-    next_index: u64,
 }
 
 impl TrackingThread<'_> {
@@ -66,8 +64,6 @@ impl TrackingThread<'_> {
             held_out: HeldOutRule::default(),
             n_keyframes: 0,
             n_frames_of_camera: 0,
-            first_index: 0,
-            next_index: 0,
         };
         let mut sealed = None;
         let mut waiting_since = Instant::now();
@@ -82,11 +78,7 @@ impl TrackingThread<'_> {
                     waiting_since = Instant::now();
                 }
                 InputEvent::Refused(verdict) => self.tell(Record::Refused(verdict)),
-                InputEvent::CameraCame { is_first } => {
-                    // A new process counts from zero; ours go on.
-                    state.first_index = state.next_index;
-                    self.tell(Record::CameraCame { is_first });
-                }
+                InputEvent::CameraCame { is_first } => self.tell(Record::CameraCame { is_first }),
                 InputEvent::CameraGone { silent_for } => {
                     // Meeting the next process takes memory, as meeting the first did.
                     (sealed, state.n_frames_of_camera) = (None, 0);
@@ -100,7 +92,7 @@ impl TrackingThread<'_> {
         drop(sealed);
         let counts = input.counts();
         let n_keyframes_dropped = self.mapper.as_ref().map_or(0, MapperLink::n_dropped);
-        let n_frame_indices = state.next_index.max(counts.n_received + counts.n_missing);
+        let n_frame_indices = input.n_frame_indices();
         // The last record is worth waiting for.
         let end = Record::End { input: counts, n_frame_indices, n_keyframes_dropped };
         self.records
@@ -112,8 +104,7 @@ impl TrackingThread<'_> {
     fn frame(&mut self, frame: &BorrowedFrame<'_>, state: &mut State, waited: Duration) {
         let mut times = StageTimes::default();
         times.add(Stage::Input, milliseconds(waited));
-        let frame_index = state.first_index + frame.header().sequence;
-        state.next_index = frame_index + 1;
+        let frame_index = frame.frame_index();
         state.n_frames_of_camera += 1;
         let started = Instant::now();
         let Some(image) = gray_view(frame, &mut state.gray) else { return };

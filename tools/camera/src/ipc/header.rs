@@ -23,8 +23,9 @@ pub mod flags {
 /// frames without its clock or its header being at fault.
 pub const MAX_TIME_STEP_NS: u64 = 60_000_000_000;
 
-/// A sequence number further than this above the one before is none: three hours of a camera with 100 frames a second.
-pub const MAX_SEQUENCE_STEP: u64 = 1 << 20;
+/// A sequence number further than this above the one before is none: a minute, the longest step in time, of a camera with
+/// 1000 frames a second.
+pub const MAX_SEQUENCE_STEP: u64 = 60_000;
 
 /// Times above this lie behind the year 2262 and are none.
 pub const MAX_TIMESTAMP_NS: u64 = i64::MAX as u64;
@@ -158,11 +159,12 @@ pub enum HeaderVerdict {
         /// That of the frame before; 0 when there was none.
         previous_ns: u64,
     },
-    /// The sequence number is too far above that of the frame before: a damaged header.
+    /// The sequence number is too far above that of the frame before: a damaged header, or the camera counts anew. In the
+    /// second case the next frame agrees with this one.
     SequenceJump {
         /// What was there.
         found: u64,
-        /// That of the frame before.
+        /// That of the frame before; 0 when there was none.
         previous: u64,
     },
     /// Another camera process is alive under the same service name.
@@ -211,6 +213,9 @@ impl FrameHeader {
             return refusal;
         }
         let n_missing = match previous {
+            None if self.sequence > MAX_SEQUENCE_STEP => {
+                return HeaderVerdict::SequenceJump { found: self.sequence, previous: 0 };
+            }
             None => self.sequence,
             Some(previous) if self.sequence.saturating_sub(previous.sequence) > MAX_SEQUENCE_STEP => {
                 return HeaderVerdict::SequenceJump { found: self.sequence, previous: previous.sequence };

@@ -77,10 +77,12 @@ fn the_end_needs_no_image_and_tells_how_many_frames_are_missing() {
 }
 
 #[test]
-fn the_first_frame_may_have_any_time_and_fixes_the_format() {
+fn the_first_frame_may_have_any_time_but_no_far_number_and_fixes_the_format() {
     let open = ServiceFormat { pixel_format: None, ..SERVICE };
     let verdict = FrameHeader::packed(0, 0, [6, 4], PixelFormat::Rgb8).judge(&open, None, SENT_BYTES);
     assert_eq!(verdict, HeaderVerdict::Accept { pixel_format: PixelFormat::Rgb8, n_missing: 0 });
+    let far = FrameHeader::packed(MAX_SEQUENCE_STEP + 1, 0, [6, 4], PixelFormat::Rgb8).judge(&open, None, SENT_BYTES);
+    assert_eq!(far, HeaderVerdict::SequenceJump { found: MAX_SEQUENCE_STEP + 1, previous: 0 });
 }
 
 #[test]

@@ -68,7 +68,7 @@ pub struct Speed {
 #[repr(C)]
 #[type_name("KilogsOdometry1")]
 pub struct OdometryMessage {
-    /// Sequence number of the frame.
+    /// Index of the frame in the run, missing ones included.
     pub sequence: u64,
     /// Middle of the exposure.
     pub timestamp_ns: TimestampNs,

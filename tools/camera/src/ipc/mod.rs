@@ -14,7 +14,10 @@ mod header;
 mod messages;
 mod services;
 
-pub use header::{FRAME_MAGIC, FRAME_VERSION, FrameHeader, HeaderVerdict, PreviousFrame, ServiceFormat, flags};
+pub use header::{
+    FRAME_MAGIC, FRAME_VERSION, FrameHeader, HeaderVerdict, MAX_SEQUENCE_STEP, MAX_TIME_STEP_NS, PreviousFrame,
+    ServiceFormat, flags,
+};
 pub use messages::{Ack, FramePage, HealthMessage, OdometryMessage, PAGE_BYTES, Speed};
 pub use services::{
     AckService, EventService, FrameService, FrameSlots, HEALTH_SERVICE, Ipc, IpcError, IpcNode, ODOMETRY_SERVICE,
