@@ -1,4 +1,4 @@
-// Numbers of every candidate as they are decoded from now on: what is stored. A learned decoder adds to them.
+// Numbers of every candidate as they are decoded from now on: what is stored. `decode_anchors` adds to them.
 @group(0) @binding(1) var<storage, read> params: array<f32>;
 @group(0) @binding(2) var<storage, read> candidates: array<u32>;
 @group(0) @binding(3) var<storage, read> counters: Counters;

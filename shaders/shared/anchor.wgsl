@@ -24,3 +24,7 @@ fn level_of(anchor: DeviceAnchor) -> u32 {
 fn n_gaussians_of(anchor: DeviceAnchor) -> u32 {
     return (anchor.packed >> 8u) & 0xffu;
 }
+
+fn chunk_row_of(anchor: DeviceAnchor) -> u32 {
+    return anchor.packed >> 16u;
+}

@@ -34,8 +34,20 @@ struct ViewBlock {
     opacity_rate: f32,
     color_rate: f32,
     background_rate: f32,
-    spare: u32,
+    decoder_rows: u32,
     background_step: u32,
+    decoder_row: u32,
+    decoder_step: u32,
+    feature_rate: f32,
+    hidden_rate: f32,
+    output_offset_rate: f32,
+    output_log_scale_rate: f32,
+    output_rotation_rate: f32,
+    output_opacity_rate: f32,
+    output_color_rate: f32,
+    spare_a: u32,
+    spare_b: u32,
+    spare_c: u32,
 }
 @group(0) @binding(0) var<uniform> view: ViewBlock;
 

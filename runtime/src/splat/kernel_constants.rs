@@ -51,6 +51,27 @@ constants! {
     /// Half width of the zone in which two levels exist, relative to the border's distance.
     BAND_OVERLAP_RATIO: f32 = numbers::BAND_OVERLAP_RATIO;
 
+    /// Features of an anchor.
+    FEATURE_LEN: u32 = numbers::FEATURE_LEN as u32;
+    /// Numbers that a decoder reads: the feature, the direction, the logarithm of the distance.
+    INPUTS: u32 = numbers::INPUTS as u32;
+    /// Units of a decoder's hidden layer.
+    HIDDEN: u32 = numbers::HIDDEN as u32;
+    /// Binary logarithm of the distance, m, at which a decoder's last input is 0.
+    LOG2_MIDDLE_DISTANCE: f32 = numbers::LOG2_MIDDLE_DISTANCE;
+    /// Change of that logarithm that moves the last input by 1.
+    LOG2_DISTANCE_UNIT: f32 = numbers::LOG2_DISTANCE_UNIT;
+    /// Cameras nearer to an anchor than this are taken to be this far away, m.
+    MIN_DISTANCE_M: f32 = numbers::MIN_DISTANCE_M;
+    /// How far a decoder may move a Gaussian beyond the picture's border before it is missed there, in extents.
+    MOST_SHIFT: f32 = 4.0;
+    /// How much larger than stored a Gaussian beyond the border may become before it is missed there.
+    MOST_GROWTH: f32 = 2.0;
+    /// Pieces of the candidates over which the gradients of a decoder are summed on their own.
+    DECODER_PIECES: u32 = 64;
+    /// No chunk row.
+    NO_ROW: u32 = u32::MAX;
+
     /// Numbers per splat that blending has gradients for:
     /// moments `0, x, y, xx, xy, yy` of dL/dq, then RGB and depth.
     N_SPLAT_GRADS: u32 = 10;

@@ -83,9 +83,12 @@ kernels! {
     /// Gaussians that may be in view, ascending.
     ListCandidates = "list_candidates", GROUP, ["group_scan", "scan"],
         [read visible_bits, read group_totals, write candidates];
-    /// Numbers of every candidate as they are decoded; a learned decoder adds to them.
+    /// Numbers of every candidate as they are stored.
     GatherParams = "gather_params", GROUP, ["counters"],
         [read params, read candidates, read counters, write effective];
+    /// Adds what each chunk's learned decoder makes of its anchors to the numbers of their candidates.
+    DecodeAnchors = "decode_anchors", GROUP, ["counters", "anchor", "exponential", "group_scan", "scan", "seen"],
+        [read anchors, read keyframes, read candidates, read counters, read features, read decoders, write effective];
     /// Splat and sort key of every candidate.
     MakeSplats = "make_splats", GROUP,
         ["counters_atomic", "anchor", "lod", "exponential", "decode", "effective", "project", "splat"],
@@ -130,6 +133,11 @@ kernels! {
         ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed"],
         [read anchors, read keyframes, read candidates, read counters, read splats, read bounds, write splat_sums,
          write effective, write anisotropy_sums];
+    /// Sums of the gradients of the decoder that learns, and the Adam step of the features.
+    DecodeAnchorsBackward = "decode_anchors_backward", GROUP,
+        ["counters", "anchor", "exponential", "group_scan", "scan", "seen", "adam"],
+        [read anchors, read keyframes, read candidates, read counters, write features, read decoders, read effective,
+         write feature_moments, write decoder_sums];
     /// Spreads the gradients of the background over its texels.
     SpreadSky = "spread_sky", GROUP, ["bounds", "texel_fixed", "sky"],
         [read planes, read upstream, read bounds, write texel_sums];
@@ -159,6 +167,9 @@ kernels! {
     StepParams = "step_params", GROUP, ["counters", "splat", "adam"],
         [read counters, read candidates, read splats, read effective, write params, write param_first,
          write param_second, write param_steps];
+    /// Adam step of the decoder that learns.
+    StepDecoder = "step_decoder", GROUP, ["adam"],
+        [read decoder_sums, write decoders, write decoder_first, write decoder_second];
     /// Adam step of the background.
     StepSky = "step_sky", GROUP, ["adam"], [read texel_grads, write texels, write texel_first, write texel_second];
 }

@@ -75,10 +75,34 @@ pub struct ViewBlock {
     pub color_rate: f32,
     /// Adam step size of background texels.
     pub background_rate: f32,
-    /// Unused.
-    pub spare: u32,
+    /// Chunk rows with a learned decoder; 0 when the stored numbers are drawn.
+    pub decoder_rows: u32,
     /// Adam steps that the background's chunk row has taken, this one included.
     pub background_step: u32,
+    /// Chunk row whose decoder learns; [`NO_ROW`](super::kernel_constants::NO_ROW) for none.
+    pub decoder_row: u32,
+    /// Adam steps that its decoder has taken, this one included.
+    pub decoder_step: u32,
+    /// Adam step size of features.
+    pub feature_rate: f32,
+    /// Adam step size of a decoder's hidden layer.
+    pub hidden_rate: f32,
+    /// Adam step size of a decoder's outputs that are offsets.
+    pub output_offset_rate: f32,
+    /// The same for logarithms of scales.
+    pub output_log_scale_rate: f32,
+    /// The same for quaternions.
+    pub output_rotation_rate: f32,
+    /// The same for opacity logits.
+    pub output_opacity_rate: f32,
+    /// The same for color logits.
+    pub output_color_rate: f32,
+    /// Unused.
+    pub spare_a: u32,
+    /// Unused.
+    pub spare_b: u32,
+    /// Unused.
+    pub spare_c: u32,
 }
 
 /// What of an anchor never changes by training, as kernels read it.

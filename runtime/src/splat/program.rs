@@ -4,12 +4,12 @@
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
 use super::kernel_constants::{
-    self as constants, BLOCK_PX, DIGITS, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS, SORT_PIECES,
-    TILE_GROUP, TILE_PX,
+    self as constants, BLOCK_PX, DECODER_PIECES, DIGITS, FEATURE_LEN, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS,
+    N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX,
 };
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
-use super::{Capacities, MemoryRow};
+use super::{Capacities, DecoderShape, MemoryRow};
 
 mod learn;
 
@@ -135,12 +135,27 @@ buffers! {
     TexelFirst = "splat.device.texel_first", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
     /// Running means of their squares.
     TexelSecond = "splat.device.texel_second", |s| s.chunk_rows * TEXEL_NUMBERS, 4;
+    /// Features of the anchors.
+    Features = "splat.device.features", |s| s.feature_slots * FEATURE_LEN as usize, 4;
+    /// Running means of the features' gradients, of their squares, and the Adam steps, slot by slot.
+    FeatureMoments = "splat.device.feature_moments", |s| s.feature_slots * FEATURE_MOMENTS, 4;
+    /// Decoders of all chunk rows.
+    Decoders = "splat.device.decoders", |s| s.chunk_rows * s.decoder_len, 4;
+    /// Running means of the gradients of `decoders`.
+    DecoderFirst = "splat.device.decoder_first", |s| s.chunk_rows * s.decoder_len, 4;
+    /// Running means of their squares.
+    DecoderSecond = "splat.device.decoder_second", |s| s.chunk_rows * s.decoder_len, 4;
+    /// Gradients of the decoder that learns, summed over each piece of the candidates.
+    DecoderSums = "splat.device.decoder_sums", |s| DECODER_PIECES as usize * s.decoder_len, 4;
 }
 
 /// Red, green, blue, depth, transmittance.
 pub const N_PLANES: usize = 5;
 /// Numbers of one background table.
 pub const TEXEL_NUMBERS: usize = constants::TEXEL_NUMBERS as usize;
+
+/// Numbers that the optimizer remembers about a feature.
+pub const FEATURE_MOMENTS: usize = 2 * FEATURE_LEN as usize + 1;
 
 /// What sizes follow from.
 struct Sizes {
@@ -155,12 +170,17 @@ struct Sizes {
     pixels: usize,
     training_pixels: usize,
     chunk_rows: usize,
+    /// Slots with features.
+    feature_slots: usize,
+    /// Numbers of a chunk row's decoder.
+    decoder_len: usize,
 }
 
 impl Sizes {
     fn of(capacities: &Capacities) -> Self {
         let [width, height] = [capacities.image_width_px, capacities.image_height_px].map(|v| v as usize);
         let [columns, rows] = [width, height].map(|v| v.div_ceil(TILE_PX as usize));
+        let only_if_learned = |n: usize| if capacities.learned_decoder { n } else { 0 };
         Self {
             slots: capacities.anchors,
             gaussians: capacities.anchors * capacities.gaussians_per_anchor,
@@ -173,6 +193,8 @@ impl Sizes {
             pixels: width * height,
             training_pixels: capacities.training_pixels,
             chunk_rows: capacities.chunk_rows,
+            feature_slots: only_if_learned(capacities.anchors),
+            decoder_len: only_if_learned(DecoderShape::new(capacities.gaussians_per_anchor).len()),
         }
     }
 }
@@ -268,8 +290,12 @@ impl Stage {
 /// A part of a run; an executor runs several in one submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// From anchors to splats.
+    /// From anchors to candidates and their stored numbers.
     Project,
+    /// What learned decoders add to these.
+    Decode,
+    /// From numbers to splats.
+    MakeSplats,
     /// Splats by depth.
     Sort,
     /// From splats in depth order to the picture.
@@ -281,22 +307,37 @@ pub enum Part {
     Compare,
     /// The optimizer's step.
     Step,
+    /// From the gradients in [`Buffer::Effective`] to those of the decoder that learns, and the step of features and
+    /// decoder.
+    StepDecoder,
 }
 
 impl Part {
     /// All parts in the order of their numbers.
-    pub const ALL: &'static [Self] =
-        &[Self::Project, Self::Sort, Self::Blend, Self::Backward, Self::Compare, Self::Step];
+    pub const ALL: &'static [Self] = &[
+        Self::Project,
+        Self::Decode,
+        Self::MakeSplats,
+        Self::Sort,
+        Self::Blend,
+        Self::Backward,
+        Self::Compare,
+        Self::Step,
+        Self::StepDecoder,
+    ];
 
     /// The part's dispatches in order.
     pub fn stages(self) -> &'static [Stage] {
         match self {
             Self::Project => PROJECT,
+            Self::Decode => DECODE,
+            Self::MakeSplats => MAKE_SPLATS,
             Self::Sort => SORT.as_flattened(),
             Self::Blend => BLEND,
             Self::Backward => learn::BACKWARD,
             Self::Compare => learn::COMPARE,
             Self::Step => learn::STEP,
+            Self::StepDecoder => learn::STEP_DECODER,
         }
     }
 }
@@ -344,18 +385,27 @@ const SORT: [[Stage; 3]; 4] = [
     sort_pass!(Digit3, KeysScratch, OrderScratch => Keys, Order),
 ];
 
-/// From anchors to candidates, their numbers and their splats.
+/// From anchors to candidates and their numbers.
 const PROJECT: &[Stage] = &[
     stage(Kernel::Cull, Extent::Slots, &[B::Anchors, B::Params, B::Keyframes, B::VisibleBits, B::GroupTotals]),
     stage(Kernel::ScanCandidates, Extent::Groups(1), &[B::GroupTotals, B::Counters, B::Dispatch]),
     stage(Kernel::ListCandidates, Extent::Slots, &[B::VisibleBits, B::GroupTotals, B::Candidates]),
     stage(Kernel::GatherParams, CANDIDATES, &[B::Params, B::Candidates, B::Counters, B::Effective]),
-    stage(
-        Kernel::MakeSplats,
-        CANDIDATES,
-        &[B::Anchors, B::Keyframes, B::Candidates, B::Effective, B::Counters, B::Splats, B::Keys, B::Order],
-    ),
 ];
+
+/// What learned decoders add to the numbers.
+const DECODE: &[Stage] = &[stage(
+    Kernel::DecodeAnchors,
+    CANDIDATES,
+    &[B::Anchors, B::Keyframes, B::Candidates, B::Counters, B::Features, B::Decoders, B::Effective],
+)];
+
+/// From numbers to splats.
+const MAKE_SPLATS: &[Stage] = &[stage(
+    Kernel::MakeSplats,
+    CANDIDATES,
+    &[B::Anchors, B::Keyframes, B::Candidates, B::Effective, B::Counters, B::Splats, B::Keys, B::Order],
+)];
 
 /// From splats in depth order to the picture.
 const BLEND: &[Stage] = &[

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 /// Most stages that a backend tells apart.
-pub const MAX_STAGES: usize = 32;
+pub const MAX_STAGES: usize = 48;
 
 /// Time of each stage of a backend's last view, in the order in which they ran.
 #[derive(Clone, Debug, Default, PartialEq)]

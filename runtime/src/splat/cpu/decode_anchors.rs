@@ -8,7 +8,7 @@ use super::lane::Wide;
 use super::layers::{BATCH, Layer, hidden_layer, outputs};
 use super::packet::{as_gaussians, as_numbers, as_numbers_mut};
 use super::splats::{MAX_JOBS, piece_len, take_front};
-use crate::splat::kernel_constants::MAX_SIGMAS;
+use crate::splat::kernel_constants::{MAX_SIGMAS, MOST_GROWTH, MOST_SHIFT};
 use crate::splat::{AnchorFeature, GaussianParams, KeyframePlacement, View};
 use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, VIEW_INPUTS, view_input, view_input_backward};
 use pulp::{Simd, WithSimd};
@@ -59,11 +59,6 @@ pub fn place_camera(view: &View, placements: &[KeyframePlacement], out: &mut [[f
         *camera_m = (in_keyframe_m / placement.scale).map(|v| v as f32).into();
     }
 }
-
-/// How far a decoder may move a Gaussian beyond the picture's border before it is missed there, in extents.
-const MOST_SHIFT: f32 = 4.0;
-/// How much larger than stored a Gaussian beyond the border may become before it is missed there.
-const MOST_GROWTH: f32 = 2.0;
 
 /// Fills `shown` for every anchor that may meet the picture and marks its slot with a 1 in `marks`, others with a 0.
 pub fn decode_anchors(

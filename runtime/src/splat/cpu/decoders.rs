@@ -43,9 +43,10 @@ pub struct DecoderRule {
     pub row: Option<u16>,
     /// Step size of features.
     pub feature_rate: f32,
-    hidden_rate: f32,
-    /// By number of a Gaussian.
-    output_rates: [f32; N_PARAMS],
+    /// Step size of `W1` and `b1`.
+    pub hidden_rate: f32,
+    /// Step sizes of `W2` and `b2`, by number of a Gaussian.
+    pub output_rates: [f32; N_PARAMS],
 }
 
 impl DecoderRule {

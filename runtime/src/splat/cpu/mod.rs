@@ -24,7 +24,7 @@ pub(super) mod cull;
 pub mod decode;
 mod decode_anchors;
 mod decode_anchors_backward;
-mod decoders;
+pub(super) mod decoders;
 mod draw;
 pub(super) mod exposures;
 mod features;

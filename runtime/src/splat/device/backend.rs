@@ -7,11 +7,11 @@ use super::view::{place, view_block};
 use crate::splat::cpu::exposures::Exposures;
 use crate::splat::cpu::sky::INITIAL_COLOR;
 use crate::splat::layout::{Counters, DeviceAnchor, KeyframeBlock, ViewBlock};
-use crate::splat::program::{Buffer, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
+use crate::splat::program::{Buffer, FEATURE_MOMENTS, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
 use crate::splat::{
-    AnchorFeature, AnchorHeader, BACKGROUND_TEXELS, Capacities, Exposure, GaussianParams, KeyframePlacement, MemoryRow,
-    Overflow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView,
-    View,
+    AnchorFeature, AnchorHeader, BACKGROUND_TEXELS, Capacities, DecoderShape, Exposure, GaussianParams,
+    KeyframePlacement, MemoryRow, Overflow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes,
+    StepReport, StepSettings, TrainingView, View,
 };
 use core::cell::RefCell;
 use zerocopy::IntoBytes;
@@ -31,6 +31,8 @@ pub struct DeviceBackend<E> {
     planes: Vec<f32>,
     /// Adam steps of each background.
     pub(super) background_steps: Vec<u32>,
+    /// Adam steps of each decoder; empty when none is learned.
+    pub(super) decoder_steps: Vec<u32>,
     /// Zeros for the moments of [`SLOTS_PER_UPLOAD`] slots.
     zeros: Vec<u8>,
     /// Set when every stage is run and waited for on its own.
@@ -83,7 +85,8 @@ impl<E: Executor> DeviceBackend<E> {
             exposures: Exposures::new(capacities.exposure_slots),
             planes: vec![0.0; 3 * n_pixels],
             background_steps: vec![0; capacities.chunk_rows],
-            zeros: vec![0; SLOTS_PER_UPLOAD * k * size_of::<GaussianParams>()],
+            decoder_steps: vec![0; if capacities.learned_decoder { capacities.chunk_rows } else { 0 }],
+            zeros: vec![0; SLOTS_PER_UPLOAD * (k * size_of::<GaussianParams>()).max(FEATURE_MOMENT_BYTES)],
             clock: None,
             capacities,
         })
@@ -128,6 +131,18 @@ impl<E: Executor> DeviceBackend<E> {
         WorkSize { slots: self.slots.end() as u32, width_px: view.camera.width, height_px: view.camera.height }
     }
 
+    fn has_feature(&self, slot: u32) -> bool {
+        self.capacities.learned_decoder && (slot as usize) < self.capacities.anchors
+    }
+
+    /// The parts that draw, then others; without those of learned decoders where nothing is learned.
+    pub(super) fn drawing_then(&self, others: &[Part]) -> Parts {
+        let drawing = [Part::Project, Part::Decode, Part::MakeSplats, Part::Sort, Part::Blend];
+        let is_learned = self.capacities.learned_decoder;
+        let is_run = |part: &Part| is_learned || !matches!(part, Part::Decode | Part::StepDecoder);
+        drawing.iter().chain(others).copied().filter(is_run).collect()
+    }
+
     /// Uploads what the kernels need of a view, and runs the parts.
     pub(super) fn run(&mut self, view: &View, block: &ViewBlock, parts: &[Part]) -> bool {
         place(view, &self.placements, &mut self.keyframes);
@@ -164,7 +179,27 @@ impl<E: Executor> DeviceBackend<E> {
             e.upload(Buffer::ParamFirst, at * size_of::<GaussianParams>(), zeros)?;
             e.upload(Buffer::ParamSecond, at * size_of::<GaussianParams>(), zeros)?;
             e.upload(Buffer::ParamSteps, at * size_of::<u32>(), steps)
+        }) && self.upload_features(first, anchors.len(), None)
+    }
+
+    /// Sets features of consecutive slots and restarts their moments; anything without features is done at once.
+    fn upload_features(&self, first: usize, n: usize, features: Option<&[AnchorFeature]>) -> bool {
+        if !self.capacities.learned_decoder {
+            return true;
+        }
+        let values = features.map_or(&self.zeros[..n * size_of::<AnchorFeature>()], |features| features.as_bytes());
+        let zeros = &self.zeros[..n * FEATURE_MOMENT_BYTES];
+        self.device.call(|e| {
+            e.upload(Buffer::Features, first * size_of::<AnchorFeature>(), values)?;
+            e.upload(Buffer::FeatureMoments, first * FEATURE_MOMENT_BYTES, zeros)
         })
+    }
+
+    /// Where a chunk row's decoder of `len` numbers begins; `None` when there is no such decoder.
+    fn decoder_offset(&self, chunk_row: u16, len: usize) -> Option<usize> {
+        let shape = DecoderShape::new(self.capacities.gaussians_per_anchor);
+        let row = usize::from(chunk_row);
+        (row < self.decoder_steps.len() && len == shape.len()).then_some(row * len * size_of::<f32>())
     }
 
     /// Waits for the last run and reads its counters.
@@ -204,8 +239,11 @@ fn next_of_run(slots: &[u32], first: usize, len: usize) -> Option<usize> {
 /// Bytes of [`Buffer::Bounds`].
 const BOUNDS_BYTES: usize = 16;
 
-/// The parts of a run that draw.
-pub(super) const DRAW: [Part; 3] = [Part::Project, Part::Sort, Part::Blend];
+/// Bytes of [`Buffer::FeatureMoments`] per slot.
+const FEATURE_MOMENT_BYTES: usize = FEATURE_MOMENTS * size_of::<f32>();
+
+/// Parts of one run.
+pub(super) type Parts = heapless::Vec<Part, { Part::ALL.len() }>;
 
 pub(super) fn refused() -> RenderStats {
     RenderStats { refused: true, ..RenderStats::default() }
@@ -268,12 +306,22 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         missing
     }
 
-    fn write_features(&mut self, slots: &[u32], _features: &[AnchorFeature]) -> usize {
-        slots.len()
+    fn write_features(&mut self, slots: &[u32], features: &[AnchorFeature]) -> usize {
+        let written = slots.iter().zip(features).filter(|&(&slot, feature)| {
+            let fits = self.has_feature(slot) && feature.iter().all(|v| v.is_finite());
+            fits && self.upload_features(slot as usize, 1, Some(core::slice::from_ref(feature)))
+        });
+        slots.len() - written.count()
     }
 
-    fn read_features(&self, slots: &[u32], _features: &mut [AnchorFeature]) -> usize {
-        slots.len()
+    fn read_features(&self, slots: &[u32], features: &mut [AnchorFeature]) -> usize {
+        let read = slots.iter().zip(features).filter_map(|(&slot, feature)| {
+            let at = slot as usize * size_of_val(feature);
+            let read = self.has_feature(slot)
+                && self.device.call(|e| e.download(Buffer::Features, at, feature.as_mut_bytes()));
+            read.then_some(())
+        });
+        slots.len() - read.count()
     }
 
     fn retire_anchors(&mut self, slots: &[u32]) -> usize {
@@ -321,12 +369,21 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         self.device.call(|e| e.download(Buffer::Texels, at, texels.as_mut_bytes()))
     }
 
-    fn write_decoder(&mut self, _chunk_row: u16, _weights: &[f32]) -> bool {
-        false
+    fn write_decoder(&mut self, chunk_row: u16, weights: &[f32]) -> bool {
+        let fits = self.decoder_offset(chunk_row, weights.len()).filter(|_| weights.iter().all(|v| v.is_finite()));
+        let Some(at) = fits else { return false };
+        self.decoder_steps[usize::from(chunk_row)] = 0;
+        let len = size_of_val(weights);
+        self.device.call(|e| {
+            e.upload(Buffer::Decoders, at, weights.as_bytes())?;
+            e.clear(Buffer::DecoderFirst, at, len)?;
+            e.clear(Buffer::DecoderSecond, at, len)
+        })
     }
 
-    fn read_decoder(&self, _chunk_row: u16, _weights: &mut [f32]) -> bool {
-        false
+    fn read_decoder(&self, chunk_row: u16, weights: &mut [f32]) -> bool {
+        let found = self.decoder_offset(chunk_row, weights.len());
+        found.is_some_and(|at| self.device.call(|e| e.download(Buffer::Decoders, at, weights.as_mut_bytes())))
     }
 
     fn write_exposure(&mut self, slot: u32, exposure: Exposure) -> bool {
@@ -340,7 +397,8 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
     fn render(&mut self, view: &View, target: RenderTarget<'_>) -> RenderStats {
         let n = view.n_pixels();
         let lengths = [target.rgb.len(), target.depth_m.len(), target.transmittance.len()];
-        if !self.capacities.fits(view) || lengths != [n; 3] || !self.run(view, &self.block(view), &DRAW) {
+        let parts = self.drawing_then(&[]);
+        if !self.capacities.fits(view) || lengths != [n; 3] || !self.run(view, &self.block(view), &parts) {
             return refused();
         }
         let plane_bytes = n * size_of::<f32>();

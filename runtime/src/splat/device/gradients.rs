@@ -1,6 +1,6 @@
 //! Gradients to look at, for tests and for the conformance of backends.
 
-use super::backend::{DRAW, DeviceBackend};
+use super::backend::DeviceBackend;
 use super::executor::Executor;
 use crate::splat::View;
 use crate::splat::cpu::decode::N_PARAMS;
@@ -33,10 +33,7 @@ impl<E: Executor> DeviceBackend<E> {
         });
         let mut block = self.block(view);
         block.isotropy_weight = 0.0;
-        uploaded
-            && self.run(view, &block, &DRAW)
-            && self.run_more(view, &[Part::Backward])
-            && self.read_gradients(params, texels)
+        uploaded && self.run(view, &block, &self.drawing_then(&[Part::Backward])) && self.read_gradients(params, texels)
     }
 
     /// Reads the gradients of the last backward pass.

@@ -1,12 +1,14 @@
 //! A training step on a device: what is uploaded before it, and what is read after it.
 
-use super::backend::{DRAW, DeviceBackend, refused};
+use super::backend::{DeviceBackend, refused};
 use super::error::DeviceError;
 use super::executor::Executor;
+use crate::splat::cpu::decode::group;
+use crate::splat::cpu::decoders::DecoderRule;
 use crate::splat::cpu::loss::ExposureGradient;
 use crate::splat::kernel_constants::{
-    SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_SQUARE, SUM_SSIM, TARGET_GRAY8, TARGET_RGB_F32,
-    TARGET_RGB8,
+    NO_ROW, SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_SQUARE, SUM_SSIM, TARGET_GRAY8,
+    TARGET_RGB_F32, TARGET_RGB8,
 };
 use crate::splat::layout::{LossReport, ViewBlock};
 use crate::splat::program::{Buffer, Part};
@@ -15,8 +17,8 @@ use crate::splat::{
 };
 use zerocopy::IntoBytes;
 
-/// The parts of a training step.
-const TRAIN: [Part; 6] = [DRAW[0], DRAW[1], DRAW[2], Part::Compare, Part::Backward, Part::Step];
+/// The parts of a training step that follow the picture.
+const LEARN: [Part; 4] = [Part::Compare, Part::Backward, Part::Step, Part::StepDecoder];
 
 impl<E: Executor> DeviceBackend<E> {
     /// Draws, compares and steps; refused when something does not fit or the device fails.
@@ -24,12 +26,17 @@ impl<E: Executor> DeviceBackend<E> {
         let row = usize::from(training.view.chunk_row);
         let background_rate = settings.rates.background.at(settings.progress);
         let step = self.background_steps.get(row).map_or(0, |steps| steps.saturating_add(1));
-        let taken = self.compare(training, settings, step, &TRAIN);
+        let decoder = decoder_rule(settings);
+        let learn = if decoder.is_frozen() { &LEARN[..3] } else { &LEARN };
+        let taken = self.compare(training, settings, step, learn);
         let Some((mut report, gradient)) = taken else {
             return StepReport { stats: refused(), ..StepReport::default() };
         };
         if background_rate > 0.0 {
             self.background_steps[row] = step;
+        }
+        if let Some(steps) = decoder.row.and_then(|row| self.decoder_steps.get_mut(usize::from(row))) {
+            *steps = steps.saturating_add(1);
         }
         if let Some(slot) = training.exposure_slot {
             let weight = settings.weights.exposure;
@@ -40,14 +47,14 @@ impl<E: Executor> DeviceBackend<E> {
         report
     }
 
-    /// Runs parts of a training step; `background_step` counts the background's steps, this one included. `None` when
+    /// Draws and runs parts of a training step; `background_step` counts the background's steps, this one included. `None` when
     /// something does not fit or the device fails.
     pub(super) fn compare(
         &mut self,
         training: &TrainingView<'_>,
         settings: &StepSettings,
         background_step: u32,
-        parts: &[Part],
+        learn: &[Part],
     ) -> Option<(StepReport, ExposureGradient)> {
         if !self.capacities.fits_training(training) {
             return None;
@@ -57,7 +64,7 @@ impl<E: Executor> DeviceBackend<E> {
             upload_target(e, training.target)?;
             training.depth.map_or(Ok(()), |depth| upload_depth(e, depth))
         });
-        if !uploaded || !self.run(&training.view, &block, parts) {
+        if !uploaded || !self.run(&training.view, &block, &self.drawing_then(learn)) {
             return None;
         }
         let stats = self.stats()?;
@@ -102,9 +109,30 @@ impl<E: Executor> DeviceBackend<E> {
             opacity_rate: rate(&rates.opacity),
             color_rate: rate(&rates.color),
             background_rate: rate(&rates.background),
-            ..self.block(&training.view)
+            ..self.decoder_block(&decoder_rule(settings), self.block(&training.view))
         }
     }
+
+    /// The block with what decoders and features learn by.
+    fn decoder_block(&self, rule: &DecoderRule, block: ViewBlock) -> ViewBlock {
+        let steps = rule.row.and_then(|row| self.decoder_steps.get(usize::from(row)));
+        ViewBlock {
+            decoder_row: rule.row.map_or(NO_ROW, u32::from),
+            decoder_step: steps.map_or(0, |steps| steps.saturating_add(1)),
+            feature_rate: rule.feature_rate,
+            hidden_rate: rule.hidden_rate,
+            output_offset_rate: rule.output_rates[group::OFFSET],
+            output_log_scale_rate: rule.output_rates[group::LOG_SCALE],
+            output_rotation_rate: rule.output_rates[group::ROTATION],
+            output_opacity_rate: rule.output_rates[group::OPACITY],
+            output_color_rate: rule.output_rates[group::COLOR],
+            ..block
+        }
+    }
+}
+
+fn decoder_rule(settings: &StepSettings) -> DecoderRule {
+    DecoderRule::at(&settings.rates.decoder, settings.decoder_row, settings.progress)
 }
 
 fn upload_target<E: Executor>(executor: &mut E, target: TargetImage<'_>) -> Result<(), DeviceError> {

@@ -3,7 +3,7 @@
 use crate::splat::cpu::cull::{Frustum, KeyframeNumbers, place_keyframes};
 use crate::splat::cpu::project::CameraConstants;
 use crate::splat::cpu::sky::Rays;
-use crate::splat::kernel_constants::TILE_PX;
+use crate::splat::kernel_constants::{NO_ROW, TILE_PX};
 use crate::splat::layout::{KeyframeBlock, ViewBlock};
 use crate::splat::{BACKGROUND_TEXELS, Capacities, KeyframePlacement, View};
 
@@ -24,6 +24,8 @@ pub fn view_block(capacities: &Capacities, view: &View, n_slots: u32) -> ViewBlo
         entry_capacity: capacities.row_entries as u32,
         pair_capacity: capacities.pairs as u32,
         first_texel: u32::from(view.chunk_row) * BACKGROUND_TEXELS as u32,
+        decoder_rows: if capacities.learned_decoder { capacities.chunk_rows as u32 } else { 0 },
+        decoder_row: NO_ROW,
         focal_px: camera.focal_px.map(|v| v as f32),
         center_px: camera.center_px.map(|v| v as f32),
         min_z1: camera.min_z1.map(|v| v as f32),

@@ -1,7 +1,9 @@
 //! The dispatches of a training step that follow the picture.
 
 use super::{Buffer as B, CANDIDATES, Extent, Stage, TEXEL_NUMBERS, stage};
-use crate::splat::kernel_constants::{GROUP, LOSS_PIECES};
+use crate::splat::DecoderShape;
+use crate::splat::capacity::MAX_GAUSSIANS_PER_ANCHOR;
+use crate::splat::kernel_constants::{DECODER_PIECES, GROUP, LOSS_PIECES};
 use crate::splat::kernels::Kernel;
 
 /// An invocation per piece of the pixels.
@@ -88,4 +90,28 @@ pub const STEP: &[Stage] = &[
         &[B::Counters, B::Candidates, B::Splats, B::Effective, B::Params, B::ParamFirst, B::ParamSecond, B::ParamSteps],
     ),
     stage(Kernel::StepSky, TEXEL_GROUPS, &[B::TexelGrads, B::Texels, B::TexelFirst, B::TexelSecond]),
+];
+
+/// An invocation per number of the largest decoder.
+const DECODER_GROUPS: Extent =
+    Extent::Groups((DecoderShape::new(MAX_GAUSSIANS_PER_ANCHOR).len() as u32).div_ceil(GROUP));
+
+/// The step of features and decoder.
+pub const STEP_DECODER: &[Stage] = &[
+    stage(
+        Kernel::DecodeAnchorsBackward,
+        Extent::Groups(DECODER_PIECES),
+        &[
+            B::Anchors,
+            B::Keyframes,
+            B::Candidates,
+            B::Counters,
+            B::Features,
+            B::Decoders,
+            B::Effective,
+            B::FeatureMoments,
+            B::DecoderSums,
+        ],
+    ),
+    stage(Kernel::StepDecoder, DECODER_GROUPS, &[B::DecoderSums, B::Decoders, B::DecoderFirst, B::DecoderSecond]),
 ];

@@ -12,20 +12,20 @@ use kilogs_core::map::decoder::{
 use kilogs_core::math::Rng;
 use zerocopy::{FromBytes, IntoBytes};
 
-const SHAPE: DecoderShape = DecoderShape::new(K);
+pub const SHAPE: DecoderShape = DecoderShape::new(K);
 const N_ANCHORS: usize = 61;
 
-struct Scene {
-    view: View,
-    headers: Vec<AnchorHeader>,
-    params: Vec<GaussianParams>,
-    features: Vec<AnchorFeature>,
+pub struct Scene {
+    pub view: View,
+    pub headers: Vec<AnchorHeader>,
+    pub params: Vec<GaussianParams>,
+    pub features: Vec<AnchorFeature>,
     /// One per chunk row.
-    decoders: [Vec<f32>; 2],
+    pub decoders: [Vec<f32>; 2],
 }
 
 /// Anchors of two chunk rows in turn, with random features and decoders.
-fn scene() -> Scene {
+pub fn scene() -> Scene {
     let (mut headers, params) = anchors(N_ANCHORS, 21);
     for (i, header) in headers.iter_mut().enumerate() {
         header.chunk_row = u16::from(i % 7 > 3);
@@ -39,25 +39,34 @@ fn scene() -> Scene {
 }
 
 impl Scene {
-    fn backend(&self, learned_decoder: bool, level: SimdLevel, threads: usize) -> CpuBackend {
+    pub fn capacities(&self, learned_decoder: bool) -> Capacities {
         let usual = Capacities::for_map(N_ANCHORS, K, self.view.camera.width, self.view.camera.height);
-        let capacities = Capacities {
+        Capacities {
             pairs: usual.pairs * 8,
             row_entries: usual.row_entries * 4,
             chunk_rows: 2,
             learned_decoder,
             ..usual
-        };
-        let mut backend = CpuBackend::new(capacities, threads, level, |_| ()).expect("backend");
+        }
+    }
+
+    /// Anchors, features and decoders.
+    pub fn fill(&self, backend: &mut dyn SplatBackend) {
+        assert_eq!(backend.write_anchors(&slots(), &self.headers, &self.params), 0);
+        assert_eq!(backend.write_features(&slots(), &self.features), 0);
+        assert!((0..2u16).zip(&self.decoders).all(|(row, weights)| backend.write_decoder(row, weights)));
+    }
+
+    fn backend(&self, learned_decoder: bool, level: SimdLevel, threads: usize) -> CpuBackend {
+        let mut backend = CpuBackend::new(self.capacities(learned_decoder), threads, level, |_| ()).expect("backend");
         assert_eq!(backend.write_anchors(&slots(), &self.headers, &self.params), 0);
         backend
     }
 
     /// With features and decoders.
-    fn learned(&self, level: SimdLevel, threads: usize) -> CpuBackend {
+    pub fn learned(&self, level: SimdLevel, threads: usize) -> CpuBackend {
         let mut backend = self.backend(true, level, threads);
-        assert_eq!(backend.write_features(&slots(), &self.features), 0);
-        assert!((0..2u16).zip(&self.decoders).all(|(row, weights)| backend.write_decoder(row, weights)));
+        self.fill(&mut backend);
         backend
     }
 
@@ -85,7 +94,7 @@ impl Scene {
     }
 }
 
-fn slots() -> Vec<u32> {
+pub fn slots() -> Vec<u32> {
     (0..N_ANCHORS as u32).collect()
 }
 
@@ -93,16 +102,16 @@ fn levels() -> impl Iterator<Item = SimdLevel> {
     SimdLevel::ALL.into_iter().filter(|level| level.is_available())
 }
 
-fn target(view: &View) -> Vec<[f32; 3]> {
+pub fn target(view: &View) -> Vec<[f32; 3]> {
     let wave = |i: usize, f: f32| 0.5 + 0.4 * (i as f32 * f).sin();
     (0..view.n_pixels()).map(|i| [wave(i, 0.31), wave(i, 0.11), wave(i, 0.05)]).collect()
 }
 
-fn training<'a>(view: &View, target: &'a [[f32; 3]]) -> TrainingView<'a> {
+pub fn training<'a>(view: &View, target: &'a [[f32; 3]]) -> TrainingView<'a> {
     TrainingView { view: *view, target: TargetImage::RgbF32(target), depth: None, exposure_slot: None }
 }
 
-fn learning(decoder: DecoderRates) -> StepSettings {
+pub fn learning(decoder: DecoderRates) -> StepSettings {
     let direct = StepSettings::direct(0.0);
     StepSettings { rates: LearningRates { decoder, ..direct.rates }, decoder_row: Some(0), ..direct }
 }

@@ -2,7 +2,7 @@
 
 mod behavior;
 pub mod compare;
-mod decoder;
+pub mod decoder;
 mod differences;
 mod fitting;
 pub mod golden;

@@ -1,7 +1,6 @@
 //! The devices to test on: whatever is there, and a word about what is not.
 
 use crate::splat::cpu::decode::N_PARAMS;
-use crate::splat::device::backend::DRAW;
 use crate::splat::device::{DeviceBackend, DeviceError, Executor};
 use crate::splat::program::{Buffer, Part};
 use crate::splat::vulkan::{VulkanBackend, VulkanExecutor, testing};
@@ -44,7 +43,7 @@ impl<E: Executor> Device for DeviceBackend<E> {
     }
 
     fn training_gradients(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> TrainingGradients {
-        let parts = [DRAW[0], DRAW[1], DRAW[2], Part::Compare, Part::Backward];
+        let parts = [Part::Compare, Part::Backward];
         let n = self.capacities().anchors * self.capacities().gaussians_per_anchor;
         let (mut params, mut texels) = (vec![[f32::NAN; N_PARAMS]; n], vec![[f32::NAN; 3]; BACKGROUND_TEXELS]);
         let (report, _) = self.compare(training, settings, 1, &parts).expect("fits");

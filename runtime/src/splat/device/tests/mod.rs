@@ -1,3 +1,4 @@
+mod decoder;
 mod devices;
 mod fallback;
 mod gradients;
