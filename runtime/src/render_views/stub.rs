@@ -1,8 +1,8 @@
 //! A backend that draws nothing and remembers what it was told: what a viewer does can be read off it.
 
 use crate::splat::{
-    AnchorFeature, AnchorHeader, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats, RenderTarget,
-    SplatBackend, StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, AnchorScore, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats,
+    RenderTarget, ScoreReport, SplatBackend, StepReport, StepSettings, TrainingView, View,
 };
 use std::collections::BTreeMap;
 
@@ -100,5 +100,9 @@ impl SplatBackend for StubBackend {
 
     fn train_step(&mut self, _: &TrainingView<'_>, _: &StepSettings) -> StepReport {
         StepReport::default()
+    }
+
+    fn score_view(&mut self, _: &TrainingView<'_>, _: f32, _: &mut [AnchorScore]) -> ScoreReport {
+        ScoreReport::default()
     }
 }

@@ -81,6 +81,8 @@ constants! {
     MAX_ALPHA: f32 = 0.99;
     /// A pixel ends before the Gaussian that would take its transmittance to this or less.
     MIN_TRANSMITTANCE: f32 = 1e-4;
+    /// A Gaussian contributes to a pixel when its `T alpha` is at least this: one 8-bit step of its color.
+    MIN_CONTRIBUTION: f32 = 1.0 / 255.0;
     /// Variance added to every splat, px^2: the low-pass filter of a pixel.
     SCREEN_DILATION_PX2: f64 = 0.3;
     /// Gaussians nearer than this are not drawn, m.

@@ -15,6 +15,7 @@ pub mod kernels;
 pub mod layout;
 pub mod program;
 pub mod wgpu;
+mod score;
 mod training;
 pub mod vulkan;
 
@@ -24,6 +25,7 @@ pub use background::{
 };
 pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRow};
 pub use kilogs_core::map::{AnchorFeature, AnchorHeader, DecoderShape, GaussianParams};
+pub use score::{AnchorScore, ScoreReport};
 pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
     DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, PoseGradient, StepReport,
@@ -166,6 +168,11 @@ pub trait SplatBackend: Send {
 
     /// Draws the map, compares, and takes one optimizer step with everything in view.
     fn train_step(&mut self, view: &TrainingView<'_>, settings: &StepSettings) -> StepReport;
+
+    /// Draws the map, compares, and says of every slot how it contributes: `scores` has one element per slot and is
+    /// overwritten, those of slots that are not in view with zeros. Nothing learns, the view's exposure is applied, and
+    /// `view.depth` is not looked at.
+    fn score_view(&mut self, view: &TrainingView<'_>, error_threshold: f32, scores: &mut [AnchorScore]) -> ScoreReport;
 
     /// Time of each stage of the last [`render`](Self::render) or [`train_step`](Self::train_step); empty when the
     /// backend cannot tell.

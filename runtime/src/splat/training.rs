@@ -195,6 +195,9 @@ pub struct LossWeights {
 impl LossWeights {
     /// The method's weights.
     pub const METHOD: Self = Self { l1: 0.8, ssim: 0.2, depth: 0.01, isotropy: 10.0, exposure: 0.1 };
+
+    /// The terms of [`METHOD`](Self::METHOD) that look at the picture.
+    pub const PHOTOMETRIC: Self = Self { depth: 0.0, isotropy: 0.0, exposure: 0.0, ..Self::METHOD };
 }
 
 /// How one step is taken.

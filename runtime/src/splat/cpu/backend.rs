@@ -14,8 +14,9 @@ use super::sky::{SKY_GRADIENT_BYTES, SKY_ROW_BYTES, Sky};
 use super::splats::{Lists, PAIR_BYTES, ROW_ENTRY_BYTES, VISIBLE_BYTES};
 use crate::pool::Pool;
 use crate::splat::{
-    AnchorFeature, AnchorHeader, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement, MemoryRow,
-    RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes, StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, AnchorScore, Capacities, CapacityError, Exposure, GaussianParams, KeyframePlacement,
+    MemoryRow, RenderStats, RenderTarget, ScoreReport, SplatBackend, StageClock, StageTimes, StepReport, StepSettings,
+    TrainingView, View,
 };
 use kilogs_core::map::decoder::NO_FEATURE;
 use zerocopy::FromZeros;
@@ -266,6 +267,18 @@ impl SplatBackend for CpuBackend {
         }
         self.view.clock.finish("sky");
         pass.report
+    }
+
+    fn score_view(
+        &mut self,
+        training: &TrainingView<'_>,
+        error_threshold: f32,
+        scores: &mut [AnchorScore],
+    ) -> ScoreReport {
+        if !self.capacities.fits_training(training) || scores.len() != self.capacities.anchors {
+            return ScoreReport::refused();
+        }
+        self.score(training, error_threshold, scores)
     }
 
     fn stage_times(&self) -> StageTimes {

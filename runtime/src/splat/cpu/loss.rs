@@ -75,6 +75,25 @@ impl LossBuffers {
         }
     }
 
+    /// Marks with 1 every pixel whose color, after exposure, is off by more than `threshold` in the mean over the
+    /// channels, others with 0; returns how many are marked. Compares what [`evaluate`](Self::evaluate) compared last.
+    pub fn mark_errors(&mut self, n_pixels: usize, threshold: f32) -> u32 {
+        let n = n_pixels;
+        let mut n_marked = 0;
+        for (i, mark) in self.scratch[..n].iter_mut().enumerate() {
+            let [r, g, b] = [i, n + i, 2 * n + i].map(|at| (self.exposed[at] - self.target[at]).abs());
+            let is_wrong = r + g + b > 3.0 * threshold;
+            *mark = f32::from(u8::from(is_wrong));
+            n_marked += u32::from(is_wrong);
+        }
+        n_marked
+    }
+
+    /// What [`mark_errors`](Self::mark_errors) marked.
+    pub fn error_marks(&self, n_pixels: usize) -> &[f32] {
+        &self.scratch[..n_pixels]
+    }
+
     /// Computes the loss (without isotropy and the exposure's own term) and the gradients.
     pub fn evaluate(
         &mut self,

@@ -38,6 +38,7 @@ mod packet;
 mod pose;
 pub mod project;
 mod reduce;
+mod score;
 mod simd;
 pub(super) mod sky;
 mod sort;

@@ -9,9 +9,9 @@ use crate::splat::cpu::sky::INITIAL_COLOR;
 use crate::splat::layout::{Counters, DeviceAnchor, KeyframeBlock, ViewBlock};
 use crate::splat::program::{Buffer, FEATURE_MOMENTS, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
 use crate::splat::{
-    AnchorFeature, AnchorHeader, BACKGROUND_TEXELS, Capacities, DecoderShape, Exposure, GaussianParams,
-    KeyframePlacement, MemoryRow, Overflow, RenderStats, RenderTarget, SplatBackend, StageClock, StageTimes,
-    StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, AnchorScore, BACKGROUND_TEXELS, Capacities, DecoderShape, Exposure, GaussianParams,
+    KeyframePlacement, MemoryRow, Overflow, RenderStats, RenderTarget, ScoreReport, SplatBackend, StageClock,
+    StageTimes, StepReport, StepSettings, TrainingView, View,
 };
 use core::cell::RefCell;
 use zerocopy::IntoBytes;
@@ -418,6 +418,10 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
 
     fn train_step(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
         self.train(training, settings)
+    }
+
+    fn score_view(&mut self, _: &TrainingView<'_>, _: f32, _: &mut [AnchorScore]) -> ScoreReport {
+        ScoreReport::refused()
     }
 
     fn stage_times(&self) -> StageTimes {

@@ -8,8 +8,8 @@ use super::executor::Executor;
 use super::host_copy::HostCopy;
 use crate::seal;
 use crate::splat::{
-    AnchorFeature, AnchorHeader, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats, RenderTarget,
-    SplatBackend, StageTimes, StepReport, StepSettings, TrainingView, View,
+    AnchorFeature, AnchorHeader, AnchorScore, Capacities, Exposure, GaussianParams, KeyframePlacement, RenderStats,
+    RenderTarget, ScoreReport, SplatBackend, StageTimes, StepReport, StepSettings, TrainingView, View,
 };
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -216,6 +216,10 @@ impl<B: CanFail> SplatBackend for FallbackBackend<B> {
     fn train_step(&mut self, view: &TrainingView<'_>, settings: &StepSettings) -> StepReport {
         let stopped = || StepReport { stats: refused(), ..StepReport::default() };
         self.call(|backend| backend.train_step(view, settings)).unwrap_or_else(stopped)
+    }
+
+    fn score_view(&mut self, view: &TrainingView<'_>, error_threshold: f32, scores: &mut [AnchorScore]) -> ScoreReport {
+        self.call(|backend| backend.score_view(view, error_threshold, scores)).unwrap_or_else(ScoreReport::refused)
     }
 
     fn stage_times(&self) -> StageTimes {

@@ -11,4 +11,5 @@ mod loss;
 pub mod pose;
 mod reference;
 pub mod scenes;
+pub mod scores;
 pub mod views;

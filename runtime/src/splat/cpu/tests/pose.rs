@@ -10,8 +10,8 @@ use kilogs_core::map::decoder::FEATURE_LEN;
 use kilogs_core::math::{Rng, se3};
 use nalgebra::{Translation3, UnitQuaternion, Vector3, Vector6};
 
-const N_ANCHORS: usize = 24;
-const EXPOSURE: Exposure = Exposure { gain: [1.1, 0.9, 1.0], bias: [0.02, -0.03, 0.0] };
+pub const N_ANCHORS: usize = 24;
+pub const EXPOSURE: Exposure = Exposure { gain: [1.1, 0.9, 1.0], bias: [0.02, -0.03, 0.0] };
 const NONE: LossWeights = LossWeights { l1: 0.0, ssim: 0.0, depth: 0.0, isotropy: 0.0, exposure: 0.0 };
 const L1: LossWeights = LossWeights { l1: 0.8, ..NONE };
 
@@ -97,7 +97,7 @@ impl Problem {
         }
     }
 
-    fn cpu(&self, level: SimdLevel, threads: usize) -> CpuBackend {
+    pub fn cpu(&self, level: SimdLevel, threads: usize) -> CpuBackend {
         let mut backend = CpuBackend::new(self.capacities(), threads, level, |_| ()).expect("backend");
         self.fill(&mut backend);
         backend

@@ -32,6 +32,8 @@ pub struct Picture {
     pub contributions: Vec<Vec<(usize, f64)>>,
     /// Mean anisotropy of what met the picture.
     pub isotropy: f64,
+    /// Gaussians that met it, and half the longer side of the box around each, px.
+    pub radii_px: Vec<(usize, f64)>,
 }
 
 struct Splat {
@@ -65,7 +67,8 @@ impl Map {
         }
         splats.sort_by(|a, b| a.projected.depth_m.total_cmp(&b.projected.depth_m));
         let isotropy = isotropy / splats.len().max(1) as f64;
-        let mut picture = Picture { rgb: vec![], depth_m: vec![], contributions: vec![], isotropy };
+        let radii_px = splats.iter().map(|splat| (splat.id, splat.extent_px(0).max(splat.extent_px(1)))).collect();
+        let mut picture = Picture { rgb: vec![], depth_m: vec![], contributions: vec![], isotropy, radii_px };
         let rays = Rays::of(view);
         for at in 0..view.n_pixels() {
             let width = view.camera.width as usize;
@@ -172,14 +175,18 @@ impl Splat {
         (self.opacity * (-q).exp()).min(f64::from(MAX_ALPHA))
     }
 
+    /// Half a side of the box around the border where alpha is 1/255.
+    fn extent_px(&self, i: usize) -> f64 {
+        (2.0 * (255.0 * self.opacity).ln() * self.projected.covariance_px2[2 * i]).sqrt()
+    }
+
     /// Whether the box around the border where alpha is 1/255 holds the centre of a pixel.
     fn meets(&self, view: &View) -> bool {
-        let reach = (255.0 * self.opacity).ln();
         let size = [view.camera.width, view.camera.height].map(f64::from);
         self.projected.depth_m > 0.01
-            && reach > 0.0
+            && self.opacity > 1.0 / 255.0
             && [0, 1].into_iter().all(|i| {
-                let extent_px = (2.0 * reach * self.projected.covariance_px2[2 * i]).sqrt();
+                let extent_px = self.extent_px(i);
                 let [low, high] = [-1.0, 1.0].map(|side| self.projected.mean_px[i] + side * extent_px - 0.5);
                 low.ceil().max(0.0) <= high.floor().min(size[i] - 1.0)
             })
