@@ -18,6 +18,8 @@ use kilogs_core::tracking::{BYTES_PER_LANDMARK, BYTES_PER_TRACK, FrameReport, Ke
 pub struct MappingPlan {
     /// Size of the training images relative to the camera's, `mapping.resolution`.
     pub resolution: f64,
+    /// Keyframes that are trained together, `mapping.window`.
+    pub window: usize,
     /// Anchors have features and chunks decoders, `mapping.decoder`.
     pub learned_decoder: bool,
 }
@@ -25,7 +27,11 @@ pub struct MappingPlan {
 impl MappingPlan {
     /// What these settings ask for, for a camera of this width.
     pub fn of(mapper: &MapperSettings, camera_width_px: u32) -> Self {
-        Self { resolution: mapper.resolution_for(camera_width_px), learned_decoder: mapper.learned_decoder }
+        Self {
+            resolution: mapper.resolution_for(camera_width_px),
+            window: mapper.window,
+            learned_decoder: mapper.learned_decoder,
+        }
     }
 }
 
@@ -124,13 +130,9 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             bytes(mapper::bytes_per_image(&input.mapping_camera(), channels))
         }
         Row::MapWorkspaces => bytes(mapper::workspace_bytes(&input.mapping_camera())),
+        Row::MapKeyframes => bytes(mapper::BYTES_PER_KEYFRAME),
         // The splat backend's own.
-        Row::MapKeyframes
-        | Row::MapChunks
-        | Row::SplatVisibleGaussians
-        | Row::SplatRowEntries
-        | Row::SplatPairs
-        | Row::SplatViews => 0,
+        Row::MapChunks | Row::SplatVisibleGaussians | Row::SplatRowEntries | Row::SplatPairs | Row::SplatViews => 0,
         Row::StorePageQueue => bytes(budget.store_capacity().page_bytes),
         Row::StoreImageQueue => input.pixels() * channels,
         Row::StoreKeyframeTable => bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>()),
@@ -261,7 +263,7 @@ mod tests {
             height: 376,
             frame_bytes: 1241 * 376 * 3,
             color_channels: 3,
-            mapping: MappingPlan { resolution: 0.5, learned_decoder: true },
+            mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true },
             compute,
         }
     }

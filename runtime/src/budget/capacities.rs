@@ -5,6 +5,7 @@
 use super::{Budget, PlanInput, Row};
 use crate::map_store::StoreCapacity;
 use crate::mapping::MapperCapacity;
+use crate::mapping::capacity::chunk_file_bytes;
 use crate::splat::Capacities;
 use kilogs_camera::ipc::FrameSlots;
 use kilogs_core::store::page_file_bytes;
@@ -57,12 +58,13 @@ impl Budget {
         }
     }
 
-    /// Buffers of the map store. One image of the queue is the encoder's output.
+    /// Buffers of the map store. A page buffer takes a chunk as well; one image of the queue is the encoder's output.
     pub fn store_capacity(&self) -> StoreCapacity {
         let page_anchors = self.capacity(Row::StorePageAnchors);
         let page_gaussians = page_anchors.saturating_mul(self.capacity(Row::MapGaussiansPerAnchor));
         StoreCapacity {
-            page_bytes: page_file_bytes(page_anchors, page_gaussians, true),
+            page_bytes: page_file_bytes(page_anchors, page_gaussians, true)
+                .max(chunk_file_bytes(self.capacity(Row::MapGaussiansPerAnchor))),
             page_buffers: self.capacity(Row::StorePageQueue),
             image_buffers: self.capacity(Row::StoreImageQueue).saturating_sub(1),
         }

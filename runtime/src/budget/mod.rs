@@ -199,6 +199,25 @@ pub enum BudgetError {
         /// Most that it can be.
         most: u64,
     },
+    /// Rows that do not hold the keyframes that the settings want to train together.
+    #[error(
+        "{file}: [{row}] capacity {capacity} is too small for mapping.window = {window}: {why}; \
+         write at least {needed}, or lower mapping.window"
+    )]
+    Window {
+        /// The file.
+        file: String,
+        /// The row that is too small.
+        row: Row,
+        /// What it grants.
+        capacity: u64,
+        /// Keyframes that are trained together.
+        window: usize,
+        /// Least that it must grant.
+        needed: usize,
+        /// What for.
+        why: &'static str,
+    },
     /// The capacities cost more than the cap for this camera.
     #[error("{file}: {domain} memory: the plan needs {}, [total] {cap_key} is {}; {culprit}", HumanBytes(*needed), HumanBytes(*cap))]
     OverCap {

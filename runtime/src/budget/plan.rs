@@ -4,6 +4,7 @@ use super::bytes_each::{ComputeMemory, Cost, PlanInput, cost_each};
 use super::human_size::HumanBytes;
 use super::rows::{Location, ROWS, Row, WhenFull};
 use super::{Budget, BudgetError};
+use crate::mapping::PAGE_KEYFRAMES;
 use std::fmt;
 
 /// A kind of memory with a cap of its own.
@@ -79,8 +80,10 @@ impl Plan {
     /// Refuses a plan that does not fit.
     ///
     /// # Errors
-    /// [`BudgetError::OverCap`] names the largest row of the memory that is too small, and the capacity that fits.
+    /// [`BudgetError::Window`] names the row that does not hold the mapper's window, [`BudgetError::OverCap`] the largest
+    /// row of the memory that is too small, and the capacity that fits.
     pub fn check(&self) -> Result<(), BudgetError> {
+        self.check_window()?;
         for (domain, cap) in [(Domain::Host, self.host_cap_bytes), (Domain::Device, self.device_cap_bytes)] {
             let needed = self.bytes_in(domain);
             if needed > cap {
@@ -92,6 +95,25 @@ impl Plan {
                     cap,
                     culprit: self.culprit(domain, needed, cap),
                 });
+            }
+        }
+        Ok(())
+    }
+
+    fn check_window(&self) -> Result<(), BudgetError> {
+        let window = self.input.mapping.window;
+        let needs = [
+            (Row::MapKeyframeImages, window + 1, "a keyframe is pruned when it has left the window"),
+            (
+                Row::MapKeyframes,
+                window + PAGE_KEYFRAMES as usize,
+                "a page of keyframes leaves before their rows are taken",
+            ),
+        ];
+        for (row, needed, why) in needs {
+            let capacity = self.rows.iter().find(|planned| planned.row == row).map_or(0, |planned| planned.capacity);
+            if capacity < needed as u64 {
+                return Err(BudgetError::Window { file: self.file.clone(), row, capacity, window, needed, why });
             }
         }
         Ok(())

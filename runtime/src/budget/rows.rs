@@ -139,7 +139,7 @@ rows! {
     MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, OverwriteOldest, 4..=1 << 16;
     MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on, and its exposure", HOST, OverwriteOldest, 2..=4096;
     MapWorkspaces = ["map"."workspaces"], "planes of motion stereo and insertion", HOST, Refuse, 1..=1;
-    MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, OverwriteOldest, 1..=1 << 12;
+    MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, OverwriteOldest, 2..=1 << 12;
     SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian and its gradient", BACKEND, Refuse, 64..=1 << 26;
     SplatRowEntries = ["splat"."row_entries"], "a (row of tiles, Gaussian) entry and its gradient", BACKEND, Refuse, 64..=1 << 27;
     SplatPairs = ["splat"."pairs"], "a (tile, Gaussian) pair", BACKEND, Refuse, 64..=1 << 28;

@@ -7,7 +7,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     height: 376,
     frame_bytes: 1241 * 376 * 3,
     color_channels: 3,
-    mapping: MappingPlan { resolution: 0.5, learned_decoder: true },
+    mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true },
     compute: ComputeMemory::Cpu,
 };
 
@@ -227,6 +227,25 @@ fn one_row_too_large_for_a_device_is_named() {
     check(shared, "splat.pairs", 60_000_000, "host memory");
     check(shared, "splat.row_entries", 12_000_000, "host memory");
     check(own, "splat.pairs", 60_000_000, "memory");
+}
+
+#[test]
+fn a_window_that_the_rows_do_not_hold_is_refused_by_name() {
+    let check = |row: &str, capacity: u64, window: usize, expected: &[&str]| {
+        let budget = with_line(&format!("[{row}]"), "capacity", &format!("capacity = {capacity}")).expect("in range");
+        let mapping = MappingPlan { window, ..COLOR_KITTI.mapping };
+        let verdict = Plan::compute(&budget, &PlanInput { mapping, ..COLOR_KITTI }).check();
+        let message = verdict.err().map(|error| error.to_string()).unwrap_or_default();
+        assert_eq!(message.is_empty(), expected.is_empty(), "{message}");
+        for part in expected {
+            assert!(message.contains(part), "{part:?} is not in {message:?}");
+        }
+    };
+    check("map.keyframe_images", 7, 6, &[]);
+    check("map.keyframe_images", 6, 6, &["my.toml", "[map.keyframe_images]", "mapping.window = 6", "at least 7"]);
+    check("map.keyframes", 16, 6, &[]);
+    check("map.keyframes", 15, 6, &["[map.keyframes]", "mapping.window = 6", "at least 16"]);
+    check("map.keyframes", 512, 48, &["[map.keyframe_images]", "mapping.window = 48", "at least 49"]);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::scene::Scene;
 use super::trainer::Trainer;
 use crate::budget::{Row, Usage};
 use crate::map_store::{MapStoreWriter, is_held_out_frame};
-use crate::mapping::{capacity, mapping_camera};
+use crate::mapping::{CHUNK_KEYFRAMES, PAGE_KEYFRAMES, capacity, mapping_camera};
 use crate::output::{OutputFolder, StageTimes};
 use crate::pipeline::{self, Concluded, MappingSummary, RunPlan, ScaleSource, Tally, Told};
 use crate::run_error::RunError;
@@ -74,7 +74,9 @@ fn train(
     let store =
         MapStoreWriter::create(&plan.out.join("map"), &pipeline::manifest(plan), &pipeline::store_settings(plan))?;
     let bar = ProgressBar::new(BAR_TICKS).with_style(progress_style());
-    let rows = mapper.capacity().keyframe_rows.min((mapper.capacity().chunk_rows.max(2) - 1) * 100);
+    // The anchors of views that are trained together keep their rows.
+    let capacity = mapper.capacity();
+    let rows = capacity.keyframe_rows.min((capacity.chunk_rows - 1) * CHUNK_KEYFRAMES as usize);
     let mut trainer = Trainer {
         step: plan.settings.mapping.mapper.step,
         coarse_resolution: plan.settings.mapping.mapper.resolution,
@@ -86,7 +88,7 @@ fn train(
         mounting: scene.mounting,
         clock: Clock::start(effort),
         usage,
-        max_active: rows.saturating_sub(16).max(2),
+        max_active: rows.saturating_sub(PAGE_KEYFRAMES as usize).max(2),
         max_points: plan.budget.capacity(Row::TrackingTracks),
         seed: plan.seed,
         training: Duration::ZERO,
@@ -96,12 +98,7 @@ fn train(
     };
     trainer.run()?;
     let anchors_resident = u64::from(trainer.mapper.n_resident_anchors());
-    while !trainer.mapper.finish(&mut &store) {
-        // The disk is behind; a stopped store says so when it is finished.
-        if store.flush().is_err() {
-            break;
-        }
-    }
+    trainer.mapper.finish_into(&store)?;
     let (counters, training) = (trainer.mapper.counters(), trainer.training);
     usage.refuse(Row::MapAnchors, counters.refused as usize);
     // The mapper's memory is needed for judging the map.

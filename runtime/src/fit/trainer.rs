@@ -6,7 +6,7 @@ use super::scene::PosedView;
 use super::schedule;
 use crate::budget::{Row, Usage};
 use crate::map_store::{MapStoreWriter, StoreImage, WriteRefusal, is_held_out_frame};
-use crate::mapping::{CHUNK_KEYFRAMES, GivenView, KeyframePacket, Mapper};
+use crate::mapping::{CHUNK_KEYFRAMES, GivenView, KeyframePacket, Mapper, PacketRefused};
 use crate::run_error::RunError;
 use crate::splat::{StepSettings, TargetImage};
 use kilogs_core::camera::{Mounting, Pinhole};
@@ -98,8 +98,11 @@ impl Trainer<'_> {
     fn insert(&mut self, active: Active) -> Result<(), RunError> {
         let points = self.points_in(active.view_idx);
         let packet = packet(self.views, self.mounting, active, &points, self.images.native(active.view_idx)?);
-        let inserted = self.mapper.insert_keyframe(&packet, &mut &*self.store);
-        inserted.map_err(|e| RunError::Run(format!("inserting view {}: {e}", active.view_idx)))?;
+        match self.mapper.insert_keyframe(&packet, &mut &*self.store) {
+            // Rows stay in use when the store has stopped, and it says why when it is finished.
+            Ok(_) | Err(PacketRefused::RowInUse { .. }) => {}
+            Err(refused) => return Err(RunError::Run(format!("inserting view {}: {refused}", active.view_idx))),
+        }
         self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
         self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
         self.usage.observe(Row::MapVoxels, self.mapper.n_resident_anchors() as usize);
@@ -161,6 +164,10 @@ impl Trainer<'_> {
             self.mapper.prune_keyframe(active.ordinal);
         }
         for nth in (0..active.len()).step_by(REVISIT_STRIDE) {
+            if !self.mapper.holds_keyframe(active[nth].ordinal) {
+                // It had to make room: what it would spawn now would belong to no page.
+                continue;
+            }
             // The views before it tell the depth; the first has only those behind it.
             let n_sources = 2.min(active.len() - 1);
             let sources = if nth >= n_sources { nth - n_sources..nth } else { nth + 1..nth + 1 + n_sources };

@@ -1,5 +1,6 @@
 //! What can go wrong with a map on disk.
 
+use super::WriteRefusal;
 use kilogs_core::store::RecordProblem;
 use std::path::{Path, PathBuf};
 
@@ -70,6 +71,11 @@ pub enum StoreError {
         /// Which setting, why, and what to change.
         reason: String,
     },
+    /// The end of the map could not be handed over.
+    #[error(
+        "writing the map: {0}; the map on disk is not complete: raise [store.page_anchors] in the budget and run again"
+    )]
+    Incomplete(WriteRefusal),
     /// The writing thread could not be started or ended without a result.
     #[error("writing the map: the writing thread {what}; free memory or raise the limit of threads, then run again")]
     Thread {

@@ -1,5 +1,7 @@
 //! How large a mapper is: fixed before it starts.
 
+use super::evict::{PAGE_KEYFRAMES, PageGroup};
+use crate::splat::{BACKGROUND_TEXELS, DecoderShape};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::aggregate;
 use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
@@ -7,6 +9,7 @@ use kilogs_core::map::depth::sweep::N_LABELS;
 use kilogs_core::map::pool::AnchorSlot;
 use kilogs_core::map::voxel::VoxelCell;
 use kilogs_core::map::{AnchorFeature, AnchorHeader, GaussianParams};
+use kilogs_core::store::chunk_record_bytes;
 
 /// Sizes fixed at construction; a mapper's memory follows from them alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,6 +52,9 @@ impl MapperCapacity {
     }
 }
 
+/// Bytes of the place of a keyframe that has a row.
+pub const BYTES_PER_KEYFRAME: usize = size_of::<PageGroup>().div_ceil(PAGE_KEYFRAMES as usize);
+
 /// Bytes of the pool's slot of an anchor, and of its place in the stage.
 pub const BYTES_PER_ANCHOR: usize = size_of::<AnchorSlot>() + size_of::<u32>();
 
@@ -66,6 +72,11 @@ pub fn bytes_per_new_anchor(gaussians_per_anchor: usize) -> usize {
         + size_of::<AnchorHeader>()
         + size_of::<AnchorFeature>()
         + size_of::<u32>()
+}
+
+/// Bytes of a chunk's file: its background, and the decoder that it may have.
+pub fn chunk_file_bytes(gaussians_per_anchor: usize) -> usize {
+    chunk_record_bytes(DecoderShape::new(gaussians_per_anchor).len() * size_of::<f32>(), BACKGROUND_TEXELS)
 }
 
 /// Bytes of the planes of motion stereo, at half the mapping resolution, and of insertion.

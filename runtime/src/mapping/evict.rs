@@ -3,21 +3,21 @@
 use super::mapper::{CHUNK_KEYFRAMES, KeyframePacket, Mapper};
 use super::scratch::{NO_HEADER, Staging};
 use super::sink::PageSink;
+use crate::map_store::WriteRefusal;
 use crate::splat::BACKGROUND_COLUMNS;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::store::{ChunkBackground, ChunkLabel, PageLabel, StoredAnchor};
 use nalgebra::Vector3;
+use std::collections::VecDeque;
 
 /// Consecutive keyframes whose anchors leave together.
 pub const PAGE_KEYFRAMES: u32 = 10;
-/// Groups of keyframes that can be resident; beyond, the oldest leaves whatever its distance.
-const MAX_GROUPS: usize = 128;
 /// Share of the anchor pool above which the oldest group leaves whatever its distance.
 const HIGH_WATER: f64 = 0.85;
 
 /// Keyframes that leave together, and where they are.
 #[derive(Debug, Clone, Copy)]
-struct PageGroup {
+pub(super) struct PageGroup {
     group: u32,
     positions_m: [Vector3<f64>; PAGE_KEYFRAMES as usize],
     n_keyframes: usize,
@@ -25,9 +25,9 @@ struct PageGroup {
 }
 
 /// The resident groups, oldest first.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct PageGroups {
-    groups: heapless::Deque<PageGroup, MAX_GROUPS>,
+    groups: VecDeque<PageGroup>,
     next_page_id: u32,
     building_chunk: Option<u32>,
     /// A chunk that is complete and waits for the sink.
@@ -35,6 +35,12 @@ pub struct PageGroups {
 }
 
 impl PageGroups {
+    /// Room for the groups of the keyframes that have a row.
+    pub fn new(keyframe_rows: usize) -> Self {
+        let groups = VecDeque::with_capacity(keyframe_rows.div_ceil(PAGE_KEYFRAMES as usize));
+        Self { groups, next_page_id: 0, building_chunk: None, chunk_due: None }
+    }
+
     /// Notes where a keyframe is.
     pub fn note(&mut self, ordinal: u32, world_from_camera: &Rigid) {
         let group = ordinal / PAGE_KEYFRAMES;
@@ -45,8 +51,8 @@ impl PageGroups {
                 n_keyframes: 0,
                 last_ordinal: ordinal,
             };
-            // Eviction keeps at least one place free.
-            let _ = self.groups.push_back(fresh);
+            debug_assert!(self.groups.len() < self.groups.capacity(), "rows were freed first");
+            self.groups.push_back(fresh);
         }
         if let Some(newest) = self.groups.back_mut().filter(|newest| newest.group == group) {
             if let Some(place) = newest.positions_m.get_mut(newest.n_keyframes) {
@@ -71,30 +77,51 @@ impl PageGroup {
 }
 
 impl Mapper {
-    /// Hands over groups that are far away, and the oldest ones while memory is short.
-    pub(super) fn evict_far_pages(&mut self, packet: &KeyframePacket<'_>, sink: &mut dyn PageSink) {
-        let position_m = packet.world_from_camera.translation.vector;
-        let chunk = packet.ordinal / CHUNK_KEYFRAMES;
-        let previous = self.groups.building_chunk.replace(chunk);
-        if let Some(previous) = previous.filter(|&previous| previous != chunk) {
+    /// Hands over what refers to the rows that a keyframe is about to take: its own, and its chunk's.
+    pub(super) fn free_rows(&mut self, ordinal: u32, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
+        let chunk = ordinal / CHUNK_KEYFRAMES;
+        if let Some(previous) = self.groups.building_chunk.filter(|&previous| previous != chunk) {
+            self.write_due_chunk(sink)?;
             self.groups.chunk_due = Some(previous);
         }
-        if let Some(due) = self.groups.chunk_due
-            && self.write_chunk(due, sink)
-        {
+        self.groups.building_chunk = Some(chunk);
+        let takes_row = |due: u32| self.chunk_row(due * CHUNK_KEYFRAMES) == self.chunk_row(ordinal);
+        if self.groups.chunk_due.is_some_and(takes_row) {
+            self.write_due_chunk(sink)?;
+        }
+        let (keyframe_rows, chunk_rows) = (self.capacity.keyframe_rows as u32, self.capacity.chunk_rows as u32);
+        while let Some(oldest) = self.groups.groups.front().copied() {
+            let first = oldest.group * PAGE_KEYFRAMES;
+            if first + keyframe_rows > ordinal && first / CHUNK_KEYFRAMES + chunk_rows > chunk {
+                break;
+            }
+            self.evict_group(oldest.group, sink)?;
+            self.groups.groups.pop_front();
+        }
+        Ok(())
+    }
+
+    fn write_due_chunk(&mut self, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
+        if let Some(due) = self.groups.chunk_due {
+            self.write_chunk(due, sink)?;
             self.groups.chunk_due = None;
         }
+        Ok(())
+    }
+
+    /// Hands over the chunk that is complete, groups that are far away, and the oldest ones while memory is short.
+    pub(super) fn evict_far_pages(&mut self, packet: &KeyframePacket<'_>, sink: &mut dyn PageSink) {
+        // A sink that is busy now is asked again with the next keyframe.
+        let _ = self.write_due_chunk(sink);
+        let position_m = packet.world_from_camera.translation.vector;
         let newest_safe = packet.ordinal.saturating_sub(self.settings.window as u32);
         loop {
             let Some(oldest) = self.groups.groups.front().copied() else { return };
-            let is_full = f64::from(self.pool.n_live()) > HIGH_WATER * self.capacity.anchors as f64
-                || self.groups.groups.len() + 1 >= MAX_GROUPS;
+            let is_full = f64::from(self.pool.n_live()) > HIGH_WATER * self.capacity.anchors as f64;
             let is_far = oldest.distance_m(&position_m) > self.settings.page_distance_m;
-            // The row of its chunk is about to be used again.
-            let loses_row = oldest.group * PAGE_KEYFRAMES / CHUNK_KEYFRAMES + self.capacity.chunk_rows as u32 <= chunk;
-            if !(is_far || is_full || loses_row)
+            if !(is_far || is_full)
                 || oldest.last_ordinal >= newest_safe
-                || !self.evict_group(oldest.group, sink)
+                || self.evict_group(oldest.group, sink).is_err()
             {
                 return;
             }
@@ -106,34 +133,28 @@ impl Mapper {
     pub(super) fn evict_oldest_group(&mut self, sink: &mut dyn PageSink) -> bool {
         let is_last = self.groups.groups.len() < 2;
         let Some(oldest) = self.groups.groups.front().copied().filter(|_| !is_last) else { return false };
-        let is_gone = self.evict_group(oldest.group, sink);
+        let is_gone = self.evict_group(oldest.group, sink).is_ok();
         if is_gone {
             self.groups.groups.pop_front();
         }
         is_gone
     }
 
-    /// Hands over every group and the chunk that is being built; false when the sink did not take everything.
-    pub(super) fn evict_everything(&mut self, sink: &mut dyn PageSink) -> bool {
+    /// Hands over every group and the chunk that is being built.
+    pub(super) fn evict_everything(&mut self, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         while let Some(oldest) = self.groups.groups.front().copied() {
-            if !self.evict_group(oldest.group, sink) {
-                return false;
-            }
+            self.evict_group(oldest.group, sink)?;
             self.groups.groups.pop_front();
         }
-        let due = [self.groups.chunk_due, self.groups.building_chunk];
-        let written = due.into_iter().flatten().all(|chunk| self.write_chunk(chunk, sink));
-        if written {
-            (self.groups.chunk_due, self.groups.building_chunk) = (None, None);
-        }
-        written
+        self.write_due_chunk(sink)?;
+        self.groups.chunk_due = self.groups.building_chunk.take();
+        self.write_due_chunk(sink)
     }
 
-    pub(super) fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> bool {
+    pub(super) fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         let chunk_row = self.chunk_row(chunk * CHUNK_KEYFRAMES);
-        if !self.backend.read_background(chunk_row, &mut self.background) {
-            return false;
-        }
+        let is_read = self.backend.read_background(chunk_row, &mut self.background);
+        debug_assert!(is_read, "chunk_row is a row");
         self.read_decoder(chunk);
         let label = ChunkLabel {
             chunk_id: chunk,
@@ -142,29 +163,28 @@ impl Mapper {
             revision: 0,
         };
         let background = ChunkBackground { width: BACKGROUND_COLUMNS as u32, texels: &self.background };
-        sink.write_chunk(label, self.decoders.stored(), background).is_ok()
+        sink.write_chunk(label, self.decoders.stored(), background)
     }
 
-    /// Hands over one group, page by page; false when the sink is busy: what was handed over is gone, the rest stays.
-    fn evict_group(&mut self, group: u32, sink: &mut dyn PageSink) -> bool {
+    /// Hands over one group, page by page; when the sink refuses, what was handed over is gone and the rest stays.
+    fn evict_group(&mut self, group: u32, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         loop {
             self.stage(|ordinal| ordinal / PAGE_KEYFRAMES == group);
             if self.staging.slots.is_empty() {
-                return true;
+                return Ok(());
             }
             self.read_staged();
-            let n_stored = self.write_page(group, sink);
-            if n_stored == 0 {
-                self.staging.clear();
-                return false;
+            let written = self.write_page(group, sink);
+            if let Ok(n_stored) = written {
+                self.forget(0..n_stored);
             }
-            self.forget(0..n_stored);
             self.staging.clear();
+            written?;
         }
     }
 
     /// Writes the staged anchors into one page, as many as fit; how many that were.
-    fn write_page(&mut self, group: u32, sink: &mut dyn PageSink) -> usize {
+    fn write_page(&mut self, group: u32, sink: &mut dyn PageSink) -> Result<usize, WriteRefusal> {
         let label = PageLabel {
             page_id: self.groups.next_page_id,
             chunk_id: group * PAGE_KEYFRAMES / CHUNK_KEYFRAMES,
@@ -175,7 +195,7 @@ impl Mapper {
             gaussians_per_anchor: self.capacity.gaussians_per_anchor as u32,
             revision: 0,
         };
-        let Ok(mut draft) = sink.begin_page(label) else { return 0 };
+        let mut draft = sink.begin_page(label)?;
         let mut n_stored = 0;
         let staged = self.staging.slots.iter().zip(&self.staging.headers).zip(&self.staging.features);
         for (((&slot, header), feature), gaussians) in
@@ -190,14 +210,16 @@ impl Mapper {
             n_stored += 1;
         }
         let written = draft.label();
-        if sink.commit_page(draft).is_err() {
-            return 0;
+        sink.commit_page(draft)?;
+        if n_stored == 0 {
+            // Not even one anchor fits a page: it never will.
+            return Err(WriteRefusal::TooLarge);
         }
         self.groups.next_page_id += 1;
         self.counters.pages_written += 1;
         self.counters.anchors_stored += u64::from(written.n_anchors);
         self.counters.gaussians_stored += u64::from(written.n_gaussians);
-        n_stored
+        Ok(n_stored)
     }
 
     /// Stages the anchors of some keyframes in slot order, as many as fit, to be read from the backend.

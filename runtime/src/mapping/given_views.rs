@@ -72,7 +72,7 @@ impl Mapper {
 
     /// Hands over the present sky of a keyframe's chunk: it was trained after the chunk had been complete.
     pub fn store_chunk_of(&mut self, ordinal: u32, sink: &mut dyn PageSink) -> bool {
-        self.write_chunk(ordinal / CHUNK_KEYFRAMES, sink)
+        self.write_chunk(ordinal / CHUNK_KEYFRAMES, sink).is_ok()
     }
 
     /// Hands over the oldest keyframes' anchors; false when there is nothing to hand over but the newest, or the sink

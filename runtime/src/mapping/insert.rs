@@ -143,7 +143,7 @@ impl Mapper {
         let view = View {
             camera_from_map: kept.keyframe.world_from_camera.inverse(),
             camera: *self.images.camera(),
-            chunk_row: (kept.keyframe.ordinal / CHUNK_KEYFRAMES) as u16 % self.capacity.chunk_rows as u16,
+            chunk_row: self.chunk_row(kept.keyframe.ordinal),
         };
         let ImageScratch { size, rgb, rendered_depth, transmittance, .. } = &mut self.scratch;
         let size = *size;

@@ -10,7 +10,7 @@ use super::scratch::{ImageScratch, Staging};
 use super::settings::MapperSettings;
 use super::shrink::mapping_camera;
 use super::sink::PageSink;
-use crate::map_store::is_held_out_frame;
+use crate::map_store::{MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
 use crate::splat::{BACKGROUND_TEXELS, KeyframePlacement, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
@@ -41,12 +41,21 @@ pub struct KeyframePacket<'a> {
     pub road: Option<RoadPlane>,
 }
 
-/// A keyframe was not taken; the map is unchanged.
+/// A keyframe was not taken; nothing was added to the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PacketRefused {
     /// Every eighth frame judges the map and must not make it: promote another one.
     #[error("frame {frame_index} is held out and never used for mapping; promote the next frame")]
     HeldOut {
+        /// Index of the frame.
+        frame_index: u64,
+    },
+    /// Anchors still use the row that the keyframe needs, because the sink does not take them.
+    #[error(
+        "frame {frame_index} finds no row for its keyframe, because the map store is behind or has stopped; \
+         raise [map.keyframes] in the budget, or write to a faster disk"
+    )]
+    RowInUse {
         /// Index of the frame.
         frame_index: u64,
     },
@@ -145,7 +154,7 @@ impl Mapper {
             sparse: SparseDepth,
             scratch: ImageScratch::new(size, capacity.new_anchors * capacity.gaussians_per_anchor),
             staging: Staging::new(capacity.new_anchors, capacity.anchors, capacity.gaussians_per_anchor),
-            groups: PageGroups::default(),
+            groups: PageGroups::new(capacity.keyframe_rows),
             background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
@@ -156,7 +165,7 @@ impl Mapper {
     /// Takes a keyframe: keeps its image, inserts what the map lacks, drops what is faint, hands over what is far.
     ///
     /// # Errors
-    /// [`PacketRefused`]; the map is unchanged.
+    /// [`PacketRefused`]; nothing was added to the map.
     pub fn insert_keyframe(
         &mut self,
         packet: &KeyframePacket<'_>,
@@ -166,6 +175,7 @@ impl Mapper {
         if is_held_out_frame(frame_index) {
             return Err(PacketRefused::HeldOut { frame_index });
         }
+        self.free_rows(packet.ordinal, sink).map_err(|_| PacketRefused::RowInUse { frame_index })?;
         let keyframe = KeptKeyframe { ordinal: packet.ordinal, world_from_camera: packet.world_from_camera };
         if !self.images.push(keyframe, &packet.image) {
             return Err(PacketRefused::ImageDoesNotFit { frame_index });
@@ -198,9 +208,27 @@ impl Mapper {
         self.run_optimizer(n_iterations)
     }
 
-    /// Hands over everything that is resident; false when the sink did not take all of it (come again).
-    pub fn finish(&mut self, sink: &mut dyn PageSink) -> bool {
+    /// Hands over everything that is resident.
+    ///
+    /// # Errors
+    /// [`WriteRefusal`]: when it is busy come again, after every other refusal coming again does not help.
+    pub fn finish(&mut self, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         self.evict_everything(sink)
+    }
+
+    /// Hands over everything that is resident, and waits for the disk as often as it takes. A store that stopped says why
+    /// when it is finished.
+    ///
+    /// # Errors
+    /// [`StoreError::Incomplete`]: drop the store, what it holds is not the whole map.
+    pub fn finish_into(&mut self, store: &MapStoreWriter) -> Result<(), StoreError> {
+        loop {
+            match self.finish(&mut &*store) {
+                Err(WriteRefusal::Busy) if store.flush().is_ok() => {}
+                Ok(()) | Err(WriteRefusal::Busy | WriteRefusal::Stopped) => return Ok(()),
+                Err(refused @ WriteRefusal::TooLarge) => return Err(StoreError::Incomplete(refused)),
+            }
+        }
     }
 
     /// Counts over the whole run.

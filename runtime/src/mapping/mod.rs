@@ -20,6 +20,7 @@ mod shrink;
 mod sink;
 
 pub use capacity::MapperCapacity;
+pub use evict::PAGE_KEYFRAMES;
 pub use given_views::GivenView;
 pub use images::MappingImage;
 pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Mapper, PacketRefused};

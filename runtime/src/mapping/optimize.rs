@@ -1,6 +1,6 @@
 //! Training steps: which keyframe is looked at next.
 
-use super::mapper::{CHUNK_KEYFRAMES, Mapper};
+use super::mapper::Mapper;
 use crate::splat::{StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
 
@@ -54,7 +54,7 @@ impl Mapper {
             let view = View {
                 camera_from_map: kept.keyframe.world_from_camera.inverse(),
                 camera: *self.images.camera(),
-                chunk_row: ((kept.keyframe.ordinal / CHUNK_KEYFRAMES) as usize % self.capacity.chunk_rows) as u16,
+                chunk_row: self.chunk_row(kept.keyframe.ordinal),
             };
             let training_view = TrainingView { view, target, depth: None, exposure_slot: None };
             let step = self.backend.train_step(&training_view, &settings);

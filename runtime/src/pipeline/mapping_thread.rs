@@ -364,12 +364,7 @@ impl MappingWork {
 
     fn finish(mut self) -> Result<MappingSummary, RunError> {
         let anchors_resident = u64::from(self.mapper.n_resident_anchors());
-        while !self.mapper.finish(&mut &self.store) {
-            // The disk is behind; a stopped store says so when it is finished.
-            if self.store.flush().is_err() {
-                break;
-            }
-        }
+        self.mapper.finish_into(&self.store)?;
         let counters = self.mapper.counters();
         self.usage.refuse(Row::MapAnchors, counters.refused as usize);
         // The mapper's memory is needed for judging the map.

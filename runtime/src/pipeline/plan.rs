@@ -112,7 +112,8 @@ impl RunPlan {
         let compute = args.compute()?;
         let learned_decoder = settings.mapping.mapper.learned_decoder;
         check_decoder(learned_decoder, compute.memory())?;
-        let mapping = MappingPlan { resolution: training_resolution, learned_decoder };
+        let window = settings.mapping.mapper.window;
+        let mapping = MappingPlan { resolution: training_resolution, window, learned_decoder };
         let memory_input = plan_input(&format, mapping, compute.memory());
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
