@@ -1,6 +1,8 @@
 //! Runs the device programs with wgpu, which allocates a little of its own for every submission.
 
 use crate::splat::device::{Arena, DeviceError, Executor};
+#[cfg(test)]
+use crate::splat::kernels::Kernel;
 use crate::splat::kernels::{Access, KERNELS, KernelSpec};
 use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan};
 use crate::splat::{Capacities, MemoryRow};
@@ -51,7 +53,7 @@ impl WgpuExecutor {
         let layouts: Vec<_> = KERNELS.iter().map(|spec| bind_group_layout(&device, spec)).collect();
         let mut pipelines = Vec::with_capacity(KERNELS.len());
         for (spec, layout) in KERNELS.iter().zip(&layouts) {
-            pipelines.push(compile(&device, spec, layout));
+            pipelines.push(compile(&device, spec.name, spec.wgsl(), layout));
             if let Some(reason) = take_failure(&failure) {
                 return Err(DeviceError::Kernel { kernel: spec.name, reason });
             }
@@ -72,6 +74,15 @@ impl WgpuExecutor {
     pub fn describe() -> Result<(String, bool), DeviceError> {
         let info = best_adapter()?.get_info();
         Ok((info.name, info.device_type == wgpu::DeviceType::DiscreteGpu))
+    }
+
+    /// Runs another text in place of a kernel's own, for tests that must notice.
+    #[cfg(test)]
+    pub(in crate::splat) fn replace_kernel(&mut self, kernel: Kernel, wgsl: String) -> Result<(), DeviceError> {
+        let spec = kernel.spec();
+        let layout = bind_group_layout(&self.device, spec);
+        self.pipelines[kernel as usize] = compile(&self.device, spec.name, wgsl, &layout);
+        self.check("replacing a kernel")
     }
 
     fn check(&self, doing: &'static str) -> Result<(), DeviceError> {
@@ -194,18 +205,18 @@ fn bind_group_layout(device: &wgpu::Device, spec: &KernelSpec) -> wgpu::BindGrou
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(spec.name), entries: &entries })
 }
 
-fn compile(device: &wgpu::Device, spec: &KernelSpec, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
+fn compile(device: &wgpu::Device, name: &str, wgsl: String, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(spec.name),
-        source: wgpu::ShaderSource::Wgsl(spec.wgsl().into()),
+        label: Some(name),
+        source: wgpu::ShaderSource::Wgsl(wgsl.into()),
     });
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(spec.name),
+        label: Some(name),
         bind_group_layouts: &[Some(layout)],
         immediate_size: 0,
     });
     device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(spec.name),
+        label: Some(name),
         layout: Some(&layout),
         module: &module,
         entry_point: Some("main"),

@@ -65,15 +65,37 @@ impl<E: Executor> Device for DeviceBackend<E> {
 /// Calls `check` with a backend of every device API that is present; without a device says so, or fails when
 /// `KILOGS_REQUIRE_VULKAN=1`.
 pub fn on_every_device(capacities: Capacities, mut check: impl FnMut(&str, &mut dyn Device)) {
-    if let Some(device) = testing::device() {
-        let opened = VulkanExecutor::new(&device, &capacities, CAP_BYTES as u64);
-        let mut backend = opened.and_then(|e| VulkanBackend::new(capacities, e)).unwrap_or_else(|e| panic!("{e}"));
-        check("vulkan", &mut backend);
+    if let Some(executor) = vulkan_executor(&capacities) {
+        check("vulkan", &mut VulkanBackend::new(capacities, executor).unwrap_or_else(|e| panic!("{e}")));
     }
-    let opened = WgpuExecutor::open(&capacities, CAP_BYTES).and_then(|e| WgpuBackend::new(capacities, e));
-    match opened {
-        Ok(mut backend) => check("wgpu", &mut backend),
-        Err(DeviceError::NoDevice { api, reason }) => skip(api, &reason),
+    if let Some(executor) = wgpu_executor(&capacities) {
+        check("wgpu", &mut WgpuBackend::new(capacities, executor).unwrap_or_else(|e| panic!("{e}")));
+    }
+}
+
+/// The same with an executor, for what lies below a backend.
+pub fn on_every_executor(capacities: &Capacities, mut check: impl FnMut(&str, &mut dyn Executor)) {
+    if let Some(mut executor) = vulkan_executor(capacities) {
+        check("vulkan", &mut executor);
+    }
+    if let Some(mut executor) = wgpu_executor(capacities) {
+        check("wgpu", &mut executor);
+    }
+}
+
+fn vulkan_executor(capacities: &Capacities) -> Option<VulkanExecutor> {
+    let device = testing::device()?;
+    Some(VulkanExecutor::new(&device, capacities, CAP_BYTES as u64).unwrap_or_else(|e| panic!("{e}")))
+}
+
+/// A wgpu executor, where there is an adapter.
+pub fn wgpu_executor(capacities: &Capacities) -> Option<WgpuExecutor> {
+    match WgpuExecutor::open(capacities, CAP_BYTES) {
+        Ok(executor) => Some(executor),
+        Err(DeviceError::NoDevice { api, reason }) => {
+            skip(api, &reason);
+            None
+        }
         Err(error) => panic!("{error}"),
     }
 }
