@@ -7,6 +7,7 @@ mod backward;
 mod bin;
 mod blend;
 mod cull;
+mod decoder;
 mod loss;
 mod optimizer;
 mod project;
@@ -41,6 +42,7 @@ fn cases() -> Vec<Case> {
         project::cases(),
         sort::cases(),
         bin::cases(),
+        decoder::cases(),
         blend::cases(),
         sky::cases(),
         loss::cases(),
@@ -129,6 +131,7 @@ fn capacities() -> Capacities {
         chunk_rows: 2,
         visible_gaussians: 4096,
         training_pixels: 64,
+        learned_decoder: true,
         ..Capacities::for_map(300 * 256, 3, 272, 272)
     }
 }
