@@ -5,7 +5,9 @@ use crate::budget::{Budget, PROFILES};
 use crate::map_store::{MapStoreWriter, PageDraft, StoreCapacity, StoreSettings, WhenBusy, WriteRefusal};
 use crate::seal;
 use crate::splat::cpu::{CpuBackend, SimdLevel};
-use crate::splat::{Capacities, DecoderShape};
+use crate::splat::device::DeviceBackend;
+use crate::splat::vulkan::{VulkanExecutor, testing};
+use crate::splat::{Capacities, DecoderShape, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::frame::PixelFormat;
@@ -114,19 +116,31 @@ fn mapper(threads: usize, anchors: usize) -> Mapper {
 }
 
 fn mapper_with(threads: usize, anchors: usize, learned_decoder: bool) -> Mapper {
-    let settings = MapperSettings { page_distance_m: 30.0, learned_decoder, ..MapperSettings::measured(7, 1.0) };
-    mapper_of(threads, MapperCapacity { anchors, voxels: 2 * anchors, ..CAPACITY }, settings)
+    mapper_of(threads, MapperCapacity { anchors, voxels: 2 * anchors, ..CAPACITY }, settings(learned_decoder))
+}
+
+fn settings(learned_decoder: bool) -> MapperSettings {
+    MapperSettings { page_distance_m: 30.0, learned_decoder, ..MapperSettings::measured(7, 1.0) }
 }
 
 fn mapper_of(threads: usize, capacity: MapperCapacity, settings: MapperSettings) -> Mapper {
-    let backend = Capacities {
+    mapper_on(capacity, settings, |capacities| {
+        Box::new(CpuBackend::new(capacities, threads, SimdLevel::best(), |_| ()).expect("a possible backend"))
+    })
+}
+
+fn mapper_on(
+    capacity: MapperCapacity,
+    settings: MapperSettings,
+    backend: impl FnOnce(Capacities) -> Box<dyn SplatBackend>,
+) -> Mapper {
+    let capacities = Capacities {
         keyframe_rows: capacity.keyframe_rows,
         chunk_rows: capacity.chunk_rows,
         learned_decoder: settings.learned_decoder,
         ..Capacities::for_map(capacity.anchors, 2, CAMERA.width, CAMERA.height)
     };
-    let backend = CpuBackend::new(backend, threads, SimdLevel::best(), |_| ()).expect("a possible backend");
-    Mapper::new(settings, capacity, &CAMERA, 1, Box::new(backend))
+    Mapper::new(settings, capacity, &CAMERA, 1, backend(capacities))
 }
 
 /// Drives `n_keyframes` and hands over everything.
@@ -172,16 +186,12 @@ fn the_map_does_not_depend_on_the_number_of_threads() {
     assert!(pages(1) == pages(2), "same input, same bytes");
 }
 
-#[test]
-fn a_learned_decoder_leaves_with_its_chunk_and_features_with_their_pages() {
-    let run = |threads| {
-        let (mut mapper, mut sink) = (mapper_with(threads, 16_384, true), MemorySink::default());
-        let reports = drive(&mut mapper, 12, &mut sink);
-        let (first, last) = (&reports[1].1, &reports[11].1);
-        assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db, "{first:?} then {last:?}");
-        sink
-    };
-    let sink = run(1);
+/// Drives with a learned decoder and checks that it and the features were learned and handed over.
+fn check_learned(mut mapper: Mapper) -> MemorySink {
+    let mut sink = MemorySink::default();
+    let reports = drive(&mut mapper, 12, &mut sink);
+    let (first, last) = (&reports[1].1, &reports[11].1);
+    assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db, "{first:?} then {last:?}");
     let mut weights = vec![0.0; DecoderShape::new(2).len()];
     assert_eq!(sink.decoders.len(), 1);
     assert!(DecoderParams { kind: DecoderParams::RESIDUAL_KIND, bytes: &sink.decoders[0] }.read_residual(&mut weights));
@@ -195,8 +205,22 @@ fn a_learned_decoder_leaves_with_its_chunk_and_features_with_their_pages() {
         }
     }
     assert!(n_features > n_anchors / 2, "{n_features} of {n_anchors} anchors learned a feature");
-    let again = run(2);
-    assert!(sink.pages == again.pages && sink.decoders == again.decoders, "same input, same bytes");
+    sink
+}
+
+#[test]
+fn a_learned_decoder_leaves_with_its_chunk_and_features_with_their_pages() {
+    let [once, again] = [1, 2].map(|threads| check_learned(mapper_with(threads, 16_384, true)));
+    assert!(once.pages == again.pages && once.decoders == again.decoders, "same input, same bytes");
+}
+
+#[test]
+fn so_they_do_on_a_device() {
+    let Some(device) = testing::device() else { return };
+    check_learned(mapper_on(CAPACITY, settings(true), |capacities| {
+        let executor = VulkanExecutor::new(&device, &capacities, 1 << 30).unwrap_or_else(|e| panic!("{e}"));
+        Box::new(DeviceBackend::new(capacities, executor).unwrap_or_else(|e| panic!("{e}")))
+    }));
 }
 
 #[test]

@@ -111,7 +111,6 @@ impl RunPlan {
         let simd = args.simd()?;
         let compute = args.compute()?;
         let learned_decoder = settings.mapping.mapper.learned_decoder;
-        check_decoder(learned_decoder, compute.memory())?;
         let window = settings.mapping.mapper.window;
         let mapping = MappingPlan { resolution: training_resolution, window, learned_decoder };
         let memory_input = plan_input(&format, mapping, compute.memory());
@@ -166,18 +165,6 @@ impl RunPlan {
     }
 }
 
-/// Devices draw what anchors store; a decoder that is silently not learned would be a lie.
-fn check_decoder(learned_decoder: bool, compute: ComputeMemory) -> Result<(), RunError> {
-    if learned_decoder && compute != ComputeMemory::Cpu {
-        return Err(RunError::Usage(
-            "planning the run: mapping.decoder = \"learned\", and compute devices do not decode yet; \
-             use --backend cpu, or --set mapping.decoder=direct"
-                .to_owned(),
-        ));
-    }
-    Ok(())
-}
-
 /// Settings with the training resolution that this camera gets.
 fn mapping_settings(args: &CommonArgs, format: &SourceFormat) -> Result<Settings, RunError> {
     let mut settings = args.settings()?;
@@ -194,27 +181,5 @@ fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemor
         color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
         mapping,
         compute,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_the_processor_learns_a_decoder() {
-        for (learned, compute, is_refused) in [
-            (true, ComputeMemory::Cpu, false),
-            (false, ComputeMemory::OwnDevice, false),
-            (true, ComputeMemory::OwnDevice, true),
-            (true, ComputeMemory::SharedDevice, true),
-        ] {
-            let verdict = check_decoder(learned, compute);
-            assert_eq!(
-                verdict.as_ref().map_err(RunError::code).err(),
-                is_refused.then_some(2),
-                "{learned} {compute:?}"
-            );
-        }
     }
 }

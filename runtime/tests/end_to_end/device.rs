@@ -54,19 +54,31 @@ fn check_report(out: &Path, drive: &Drive) -> Value {
 
 #[test]
 fn a_drive_on_a_device_stays_within_its_plan_and_survives_its_loss() {
-    if !has_device() {
-        return;
+    if has_device() {
+        check_drives("direct", 12.0);
     }
-    let drive = Drive::new(12.0);
+}
+
+#[test]
+fn so_does_a_drive_with_learned_decoders() {
+    if has_device() {
+        check_drives("learned", 6.0);
+    }
+}
+
+/// A drive that the device finishes, and one that it does not.
+fn check_drives(decoder: &str, length_m: f64) {
+    let drive = Drive::new(length_m);
     let folder = tempfile::tempdir().expect("a folder");
     let (whole, lost) = (folder.path().join("whole"), folder.path().join("lost"));
-    let ended = replay(&drive, &whole, &[], None);
+    let options = ["--set", &format!("mapping.decoder={decoder}")];
+    let ended = replay(&drive, &whole, &options, None);
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);
     assert!(ended.stderr.contains("an arena of"), "{}", ended.stderr);
     let report = check_report(&whole, &drive);
     assert_eq!(text(&report, "/backend/kind"), "vulkan");
 
-    let ended = replay(&drive, &lost, &[], Some(60));
+    let ended = replay(&drive, &lost, &options, Some(60));
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);
     assert!(ended.stderr.contains("Mapping goes on with the CPU backend"), "{}", ended.stderr);
     let after_loss = check_report(&lost, &drive);

@@ -25,14 +25,19 @@ pub struct Scene {
 }
 
 /// Anchors of two chunk rows in turn, with random features and decoders.
-pub fn scene() -> Scene {
-    let (mut headers, params) = anchors(N_ANCHORS, 21);
+fn scene() -> Scene {
+    scene_of(N_ANCHORS)
+}
+
+/// The same with so many anchors.
+pub fn scene_of(n_anchors: usize) -> Scene {
+    let (mut headers, params) = anchors(n_anchors, 21);
     for (i, header) in headers.iter_mut().enumerate() {
         header.chunk_row = u16::from(i % 7 > 3);
     }
     let mut rng = Rng::new(5, 0, 0);
     let mut random = |spread: f32| spread * (2.0 * rng.unit_f32() - 1.0);
-    let features = (0..N_ANCHORS).map(|_| [0; FEATURE_LEN].map(|_| random(0.5))).collect();
+    let features = (0..n_anchors).map(|_| [0; FEATURE_LEN].map(|_| random(0.5))).collect();
     let mut decoder = || (0..SHAPE.len()).map(|_| random(0.25)).collect::<Vec<f32>>();
     let decoders = [decoder(), decoder()];
     Scene { view: view(80, 52), headers, params, features, decoders }
@@ -40,7 +45,7 @@ pub fn scene() -> Scene {
 
 impl Scene {
     pub fn capacities(&self, learned_decoder: bool) -> Capacities {
-        let usual = Capacities::for_map(N_ANCHORS, K, self.view.camera.width, self.view.camera.height);
+        let usual = Capacities::for_map(self.headers.len(), K, self.view.camera.width, self.view.camera.height);
         Capacities {
             pairs: usual.pairs * 8,
             row_entries: usual.row_entries * 4,
@@ -52,8 +57,9 @@ impl Scene {
 
     /// Anchors, features and decoders.
     pub fn fill(&self, backend: &mut dyn SplatBackend) {
-        assert_eq!(backend.write_anchors(&slots(), &self.headers, &self.params), 0);
-        assert_eq!(backend.write_features(&slots(), &self.features), 0);
+        let slots: Vec<u32> = (0..self.headers.len() as u32).collect();
+        assert_eq!(backend.write_anchors(&slots, &self.headers, &self.params), 0);
+        assert_eq!(backend.write_features(&slots, &self.features), 0);
         assert!((0..2u16).zip(&self.decoders).all(|(row, weights)| backend.write_decoder(row, weights)));
     }
 
@@ -64,7 +70,7 @@ impl Scene {
     }
 
     /// With features and decoders.
-    pub fn learned(&self, level: SimdLevel, threads: usize) -> CpuBackend {
+    fn learned(&self, level: SimdLevel, threads: usize) -> CpuBackend {
         let mut backend = self.backend(true, level, threads);
         self.fill(&mut backend);
         backend
@@ -94,7 +100,7 @@ impl Scene {
     }
 }
 
-pub fn slots() -> Vec<u32> {
+fn slots() -> Vec<u32> {
     (0..N_ANCHORS as u32).collect()
 }
 

@@ -6,6 +6,7 @@ use crate::splat::device::{DeviceBackend, DeviceError, Executor, FallbackBackend
 use crate::splat::program::{Buffer, Part, WorkSize};
 use crate::splat::vulkan::{VulkanExecutor, testing};
 use crate::splat::*;
+use kilogs_core::map::decoder::FEATURE_LEN;
 use nalgebra::Vector3;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -61,6 +62,7 @@ fn capacities() -> Capacities {
     capacities.pairs *= 8;
     capacities.row_entries *= 4;
     capacities.exposure_slots = 2;
+    capacities.learned_decoder = true;
     capacities
 }
 
@@ -82,12 +84,19 @@ fn background() -> Vec<[f32; 3]> {
     (0..BACKGROUND_TEXELS).map(|i| [i as f32 / BACKGROUND_TEXELS as f32, 0.5, 0.25]).collect()
 }
 
+/// A decoder that can be seen.
+fn decoder() -> Vec<f32> {
+    (0..DecoderShape::new(K).len()).map(|i| 0.2 * (i as f32).sin()).collect()
+}
+
 /// Writes a whole map, one call for each kind of thing.
 fn write_map(backend: &mut dyn SplatBackend) {
     let (headers, params) = anchors(N_ANCHORS, 7);
     let slots: Vec<u32> = (0..N_ANCHORS as u32).collect();
     let shifted = KeyframePlacement { translation_m: Vector3::new(0.1, 0.0, 0.2), ..KeyframePlacement::identity() };
     assert_eq!(backend.write_anchors(&slots, &headers, &params), 0);
+    assert_eq!(backend.write_features(&slots, &[[0.3; FEATURE_LEN]; N_ANCHORS]), 0);
+    assert!(backend.write_decoder(0, &decoder()));
     assert_eq!(backend.set_keyframes(0, &[shifted]), 0);
     assert!(backend.write_background(0, &background()));
     assert!(backend.write_exposure(1, Exposure { gain: [2.0; 3], bias: [0.1; 3] }));
@@ -100,6 +109,10 @@ fn the_map_is_whole_whenever_the_device_goes() {
     write_map(&mut expected_backend);
     let expected = render(&mut expected_backend, &view(64, 48));
     assert!(expected.stats.visible > 0, "there is something to see");
+    let mut undecoded = filled(capacities(), &[], &[], 1);
+    write_map(&mut undecoded);
+    assert!(undecoded.write_decoder(0, &vec![0.0; decoder().len()]));
+    assert!(render(&mut undecoded, &view(64, 48)) != expected, "the decoder is part of it");
     // Opening takes a few calls, writing the map a few more; from before the first anchor to after the last.
     for calls_left in [8, 9, 12, 20, 40, 50, 60, 80, 100] {
         let (mut backend, has_fallen_back) = with_fallback(Dying { calls_left }, Box::new(cpu));
@@ -132,6 +145,9 @@ fn reads_between_the_loss_and_the_next_change_come_from_the_host() {
     let mut texels = vec![[0.0; 3]; BACKGROUND_TEXELS];
     assert!(backend.read_background(0, &mut texels));
     assert_eq!(texels, background());
+    let (mut feature, mut weights) = ([[0.0; FEATURE_LEN]], vec![0.0; decoder().len()]);
+    assert!(backend.read_features(&[0], &mut feature) == 0 && backend.read_decoder(0, &mut weights));
+    assert!(feature == [[0.3; FEATURE_LEN]] && weights == decoder());
     assert_eq!(backend.retire_anchors(&[0]), 0);
     assert!(has_fallen_back.load(Relaxed));
     assert!(backend.read_background(0, &mut texels));

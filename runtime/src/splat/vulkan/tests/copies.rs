@@ -7,7 +7,7 @@ use crate::splat::vulkan::VulkanExecutor;
 use crate::splat::vulkan::testing::device;
 
 pub(super) fn capacities() -> Capacities {
-    Capacities::for_map(65_536, 2, 64, 48)
+    Capacities { learned_decoder: true, ..Capacities::for_map(65_536, 2, 64, 48) }
 }
 
 pub(super) fn executor() -> Option<VulkanExecutor> {

@@ -3,10 +3,12 @@
 use super::copies::{capacities, executor};
 use crate::seal;
 use crate::splat::device::{EXCHANGE_BYTES, Executor};
+use crate::splat::layout::{Counters, IndirectGroups};
 use crate::splat::program::{Buffer, Part, WorkSize};
 use crate::splat::vulkan::VALIDATION_VARIABLE;
 use crate::splat::vulkan::testing;
 use ash::vk;
+use zerocopy::IntoBytes;
 
 #[test]
 fn a_step_allocates_nothing() {
@@ -67,6 +69,11 @@ fn no_kernel_makes_the_driver_grow() {
             // Other tests run beside this one and take memory too, but not each time.
             for _ in 0..5 {
                 let before = resident_bytes();
+                // There is something to do for kernels that have an invocation per candidate.
+                let groups = IndirectGroups { candidates_x: 4, candidates_y: 1, candidates_z: 1, spare: 0 };
+                let counters = Counters { candidates: 1000, ..Counters::default() };
+                executor.upload(Buffer::Dispatch, 0, groups.as_bytes()).expect("an upload");
+                executor.upload(Buffer::Counters, 0, counters.as_bytes()).expect("an upload");
                 for _ in 0..N_CALLS {
                     executor.run_stage(part, idx, &work).expect("a kernel");
                     executor.download(Buffer::Counters, 0, &mut [0; 4]).expect("an answer");
