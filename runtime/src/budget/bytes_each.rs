@@ -129,7 +129,9 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             let channels = input.color_channels as usize;
             bytes(mapper::bytes_per_image(&input.mapping_camera(), channels))
         }
-        Row::MapWorkspaces => bytes(mapper::workspace_bytes(&input.mapping_camera())),
+        Row::MapWorkspaces => {
+            bytes(mapper::workspace_bytes(&input.mapping_camera(), capacity(Row::MapGaussiansPerAnchor)))
+        }
         Row::MapKeyframes => bytes(mapper::BYTES_PER_KEYFRAME),
         // The splat backend's own.
         Row::MapChunks | Row::SplatVisibleGaussians | Row::SplatRowEntries | Row::SplatPairs | Row::SplatViews => 0,

@@ -1,6 +1,7 @@
 //! How full each row was, and how often it turned something away.
 
 use super::Row;
+use crate::mapping::{ListLoad, MapRefusals};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Peaks and refusals of every row; shared by all threads, and free of allocation.
@@ -22,6 +23,30 @@ impl Usage {
         self.refused[row as usize].fetch_add(elements as u64, Relaxed);
     }
 
+    /// Notes how full the lists of the splat backend were.
+    pub fn note_lists(&self, load: &ListLoad) {
+        self.observe(Row::SplatViews, usize::from(load.n_views > 0));
+        for (row, list) in [
+            (Row::SplatVisibleGaussians, &load.visible),
+            (Row::SplatRowEntries, &load.row_entries),
+            (Row::SplatPairs, &load.pairs),
+        ] {
+            self.observe(row, list.peak as usize);
+            self.refuse(row, usize::try_from(list.n_refused).unwrap_or(usize::MAX));
+        }
+    }
+
+    /// Notes what a map that is finished had no room for.
+    pub fn note_map_refusals(&self, refused: &MapRefusals<u64>) {
+        for (row, n) in [
+            (Row::MapNewAnchors, refused.new_anchors),
+            (Row::MapAnchors, refused.anchors),
+            (Row::MapVoxels, refused.voxels),
+        ] {
+            self.refuse(row, usize::try_from(n).unwrap_or(usize::MAX));
+        }
+    }
+
     /// The most elements that `row` ever held; `None` when nobody looked.
     pub fn peak(&self, row: Row) -> Option<u64> {
         self.peak[row as usize].load(Relaxed).checked_sub(1)
@@ -41,6 +66,7 @@ impl Usage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::ListCount;
 
     #[test]
     fn the_highest_level_stays_and_refusals_add_up() {
@@ -58,5 +84,26 @@ mod tests {
             "unknown is not empty"
         );
         assert_eq!(usage.refused_in_all(), 7);
+    }
+
+    #[test]
+    fn each_full_container_is_charged_to_its_own_row() {
+        let usage = Usage::default();
+        usage.note_map_refusals(&MapRefusals { new_anchors: 1, anchors: 20, voxels: 300 });
+        let list = |n: u32| ListCount { peak: n, n_refused: u64::from(n) * 10 };
+        let load = ListLoad { n_views: 2, visible: list(4), row_entries: list(5), pairs: list(6) };
+        usage.note_lists(&load);
+        usage.note_lists(&load);
+        for (row, peak, refused) in [
+            (Row::MapNewAnchors, None, 1),
+            (Row::MapAnchors, None, 20),
+            (Row::MapVoxels, None, 300),
+            (Row::SplatViews, Some(1), 0),
+            (Row::SplatVisibleGaussians, Some(4), 80),
+            (Row::SplatRowEntries, Some(5), 100),
+            (Row::SplatPairs, Some(6), 120),
+        ] {
+            assert_eq!((usage.peak(row), usage.refused(row)), (peak, refused), "{row}");
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Every setting: its key, what values it takes, and the field that it fills.
 
 use super::schema::{Kind, Range, Scalar, Setting};
+use crate::mapping::MAX_OLDER_VIEWS;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
 use kilogs_core::tracking::{DynamicFilter, PoseModels};
@@ -167,7 +168,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.resolution", Range::closed(0.125, 1.0), mapping.mapper.resolution),
     whole!("mapping.min_width_px", Range::closed(0.0, 4096.0), mapping.mapper.min_width_px),
     whole!("mapping.window", Range::closed(1.0, 64.0), mapping.mapper.window),
-    whole!("mapping.older_views", Range::closed(0.0, 64.0), mapping.mapper.older_views),
+    whole!("mapping.older_views", Range::closed(0.0, MAX_OLDER_VIEWS as f64), mapping.mapper.older_views),
     number!("mapping.newest_share", Range::closed(0.0, 1.0), mapping.mapper.newest_share),
     number!("mapping.older_share", Range::closed(0.0, 1.0), mapping.mapper.older_share),
     number!("mapping.min_confidence", Range::closed(0.0, 1.0), mapping.mapper.min_confidence),

@@ -100,7 +100,14 @@ fn train(
     let anchors_resident = u64::from(trainer.mapper.n_resident_anchors());
     trainer.mapper.finish_into(&store)?;
     let (counters, training) = (trainer.mapper.counters(), trainer.training);
-    usage.refuse(Row::MapAnchors, counters.refused as usize);
+    usage.note_map_refusals(&counters.refused);
+    if trainer.n_steps > 0 && counters.iterations == 0 {
+        return Err(RunError::Run(
+            "training the map: the compute device refuses every step; look for poses and intrinsics that are no sane \
+             numbers, or try --backend cpu"
+                .to_owned(),
+        ));
+    }
     // The mapper's memory is needed for judging the map.
     drop(trainer);
     bar.finish_and_clear();

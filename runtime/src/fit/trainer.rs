@@ -124,7 +124,7 @@ impl Trainer<'_> {
             let progress = ((spent - begins) / (ends - begins).max(1e-9)).clamp(0.0, 1.0);
             if schedule::REVISITS.get(next_revisit).is_some_and(|at| progress >= *at) {
                 next_revisit += 1;
-                self.revisit(active, ends)?;
+                self.revisit(active, (next_revisit as u32, ends))?;
             }
             let nth = order.pop().unwrap_or_else(|| {
                 order.extend(0..active.len());
@@ -146,20 +146,15 @@ impl Trainer<'_> {
         let world_from_camera = self.views[active.view_idx].world_from_camera;
         let given = GivenView { ordinal: active.ordinal, world_from_camera, camera, target };
         let started = Instant::now();
-        let report = self.mapper.train_on(&given, &schedule::step(&self.step, progress));
+        self.mapper.train_on(&given, &schedule::step(&self.step, progress));
         self.training += started.elapsed();
         self.n_steps += 1;
-        self.usage.observe(Row::SplatVisibleGaussians, report.stats.visible as usize);
-        self.usage.observe(Row::SplatRowEntries, report.stats.row_entries as usize);
-        self.usage.observe(Row::SplatPairs, report.stats.pairs as usize);
-        if report.stats.overflow.pairs > 0 {
-            self.usage.refuse(Row::SplatPairs, report.stats.overflow.pairs as usize);
-        }
+        self.usage.note_lists(&self.mapper.take_list_load());
         Ok(())
     }
 
     /// Drops what is faint, then inserts where the trained map is bare or wrong.
-    fn revisit(&mut self, active: &[Active], ends: f64) -> Result<(), RunError> {
+    fn revisit(&mut self, active: &[Active], (visit, ends): (u32, f64)) -> Result<(), RunError> {
         for active in active {
             self.mapper.prune_keyframe(active.ordinal);
         }
@@ -179,7 +174,7 @@ impl Trainer<'_> {
             let active = active[nth];
             let points = self.points_in(active.view_idx);
             let packet = packet(self.views, self.mounting, active, &points, self.images.native(active.view_idx)?);
-            self.mapper.revisit(&packet, n_sources).map_err(|e| RunError::Run(e.to_string()))?;
+            self.mapper.revisit(&packet, (n_sources, visit)).map_err(|e| RunError::Run(e.to_string()))?;
             self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
             self.usage.observe(Row::MapAnchors, self.mapper.n_resident_anchors() as usize);
             let spent = self.clock.progress(self.n_steps);

@@ -6,6 +6,7 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::aggregate;
 use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
 use kilogs_core::map::depth::sweep::N_LABELS;
+use kilogs_core::map::insertion::InsertionSample;
 use kilogs_core::map::pool::AnchorSlot;
 use kilogs_core::map::voxel::VoxelCell;
 use kilogs_core::map::{AnchorFeature, AnchorHeader, GaussianParams};
@@ -30,28 +31,6 @@ pub struct MapperCapacity {
     pub chunk_rows: usize,
 }
 
-impl MapperCapacity {
-    /// The capacities that the shipped plan for 1241x376 in 512 MiB has.
-    pub const KITTI: Self = Self {
-        anchors: 131_072,
-        gaussians_per_anchor: 2,
-        voxels: 262_144,
-        images: 48,
-        new_anchors: 8192,
-        keyframe_rows: 512,
-        chunk_rows: 4,
-    };
-
-    /// Bytes of the mapper without its backend, for a mapping camera and one or three bytes per pixel.
-    pub fn bytes(&self, camera: &Pinhole, bytes_per_pixel: usize) -> usize {
-        self.anchors * BYTES_PER_ANCHOR
-            + self.voxels * BYTES_PER_VOXEL
-            + self.images * bytes_per_image(camera, bytes_per_pixel)
-            + self.new_anchors * bytes_per_new_anchor(self.gaussians_per_anchor)
-            + workspace_bytes(camera)
-    }
-}
-
 /// Bytes of the place of a keyframe that has a row.
 pub const BYTES_PER_KEYFRAME: usize = size_of::<PageGroup>().div_ceil(PAGE_KEYFRAMES as usize);
 
@@ -68,7 +47,7 @@ pub fn bytes_per_image(camera: &Pinhole, bytes_per_pixel: usize) -> usize {
 
 /// Bytes of an anchor that is about to be spawned.
 pub fn bytes_per_new_anchor(gaussians_per_anchor: usize) -> usize {
-    gaussians_per_anchor * size_of::<GaussianParams>()
+    gaussians_per_anchor * (size_of::<GaussianParams>() + size_of::<InsertionSample>())
         + size_of::<AnchorHeader>()
         + size_of::<AnchorFeature>()
         + size_of::<u32>()
@@ -79,15 +58,15 @@ pub fn chunk_file_bytes(gaussians_per_anchor: usize) -> usize {
     chunk_record_bytes(DecoderShape::new(gaussians_per_anchor).len() * size_of::<f32>(), BACKGROUND_TEXELS)
 }
 
-/// Bytes of the planes of motion stereo, at half the mapping resolution, and of insertion.
-pub fn workspace_bytes(camera: &Pinhole) -> usize {
+/// Bytes of the planes of motion stereo, at half the mapping resolution, and of insertion, and of a chunk on its way.
+pub fn workspace_bytes(camera: &Pinhole, gaussians_per_anchor: usize) -> usize {
     let half_width = camera.width as usize / 2;
     let half_pixels = half_width * (camera.height as usize / 2);
     let stereo = half_pixels * (3 * N_LABELS + 8 * (1 + MAX_SOURCES) + 2 + 12)
         + aggregate::scratch_len(half_width) * size_of::<u16>();
     // Color, depth, transmittance, luma, error, two structures, two edges, probability, inverse depth, confidence, blur.
     let insertion = n_pixels(camera) * (12 + 12 * size_of::<f32>() + 1);
-    stereo + insertion
+    stereo + insertion + chunk_file_bytes(gaussians_per_anchor)
 }
 
 fn n_pixels(camera: &Pinhole) -> usize {

@@ -169,7 +169,7 @@ impl Mapper {
     /// Hands over one group, page by page; when the sink refuses, what was handed over is gone and the rest stays.
     fn evict_group(&mut self, group: u32, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         loop {
-            self.stage(|ordinal| ordinal / PAGE_KEYFRAMES == group);
+            self.stage(0, |ordinal| ordinal / PAGE_KEYFRAMES == group);
             if self.staging.slots.is_empty() {
                 return Ok(());
             }
@@ -218,21 +218,22 @@ impl Mapper {
         self.groups.next_page_id += 1;
         self.counters.pages_written += 1;
         self.counters.anchors_stored += u64::from(written.n_anchors);
-        self.counters.gaussians_stored += u64::from(written.n_gaussians);
         Ok(n_stored)
     }
 
-    /// Stages the anchors of some keyframes in slot order, as many as fit, to be read from the backend.
-    pub(super) fn stage(&mut self, belongs: impl Fn(u32) -> bool) {
+    /// Stages the anchors of some keyframes in slot order, as many as fit, to be read from the backend: those in slots from
+    /// `first_slot` on. The slot after the last one, or `None` when all are staged.
+    pub(super) fn stage(&mut self, first_slot: u32, belongs: impl Fn(u32) -> bool) -> Option<u32> {
         self.staging.clear();
-        for (handle, record) in self.pool.iter() {
+        for (handle, record) in self.pool.iter().filter(|(handle, _)| handle.slot >= first_slot) {
             if self.staging.is_full() {
-                break;
+                return Some(handle.slot);
             }
             if belongs(record.keyframe_ordinal) {
                 self.staging.push(handle.slot, NO_HEADER);
             }
         }
+        None
     }
 
     /// Fetches what the staged slots hold; features stay 0 where the backend has none.

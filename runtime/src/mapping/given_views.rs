@@ -31,6 +31,7 @@ impl Mapper {
         let training = TrainingView { view, target: given.target, depth: None, exposure_slot: None };
         let step = StepSettings { decoder_row: Some(view.chunk_row), ..*step };
         let report = self.backend.train_step(&training, &step);
+        self.list_load.add(&report.stats);
         self.counters.iterations += u64::from(!report.stats.refused);
         report
     }
@@ -48,14 +49,18 @@ impl Mapper {
     }
 
     /// Inserts once more from a keyframe whose anchors are resident, where the trained map is bare or wrong. Depth
-    /// comes from the `n_sources` keyframes that were looked at before it.
+    /// comes from the `n_sources` keyframes that were looked at before it; `visit` is 1 the first time.
     ///
     /// # Errors
     /// [`PacketRefused::ImageDoesNotFit`].
-    pub fn revisit(&mut self, packet: &KeyframePacket<'_>, n_sources: usize) -> Result<InsertReport, PacketRefused> {
+    pub fn revisit(
+        &mut self,
+        packet: &KeyframePacket<'_>,
+        (n_sources, visit): (usize, u32),
+    ) -> Result<InsertReport, PacketRefused> {
         self.look_again(packet)?;
         let sources = [1, 2, 3];
-        let report = self.insert_from(0, &sources[..n_sources.min(sources.len())], packet.points, packet.road);
+        let report = self.insert_from((0, visit), &sources[..n_sources.min(sources.len())], packet.points, packet.road);
         self.count_inserted(&report);
         Ok(report)
     }

@@ -22,10 +22,11 @@ use nalgebra::{Point3, Vector3};
 const SAMPLING: u64 = 0x696e_7365;
 
 impl Mapper {
-    /// Inserts from the keyframe `age` places before the newest, comparing it with those of `source_ages`.
+    /// Inserts from the keyframe `age` places before the newest, comparing it with those of `source_ages`; `visit` counts
+    /// the insertions from this keyframe, so that each draws its own numbers.
     pub(super) fn insert_from(
         &mut self,
-        age: usize,
+        (age, visit): (usize, u32),
         source_ages: &[usize],
         points: &[KeyframePoint],
         road: Option<RoadPlane>,
@@ -36,7 +37,8 @@ impl Mapper {
         let from_stereo = self.estimate_depth(age, source_ages, points, road);
         self.begin_background(age, from_stereo);
         let mean_transmittance = self.compare_with_map(age);
-        let mut rng = Rng::new(self.settings.seed, u64::from(ordinal), SAMPLING + age as u64);
+        let mut rng =
+            Rng::new(self.settings.seed, u64::from(ordinal), SAMPLING + age as u64 + (u64::from(visit) << u32::BITS));
         let scratch = &mut self.scratch;
         let images = InsertionImages {
             size: scratch.size,
@@ -52,7 +54,8 @@ impl Mapper {
         let drawn = sample(&images, &self.settings.insertion, &mut rng, memory, &mut scratch.samples);
         let mut report = self.spawn_samples(age, drawn.n_samples);
         report.n_samples = drawn.n_samples as u32;
-        report.n_refused += drawn.n_refused as u32;
+        // The list of samples is as long as new anchors have Gaussians.
+        report.refused.new_anchors += drawn.n_refused as u32;
         report.mean_transmittance = mean_transmittance;
         report.from_stereo = from_stereo;
         report
@@ -147,7 +150,8 @@ impl Mapper {
         };
         let ImageScratch { size, rgb, rendered_depth, transmittance, .. } = &mut self.scratch;
         let size = *size;
-        self.backend.render(&view, RenderTarget { rgb, depth_m: rendered_depth, transmittance });
+        let stats = self.backend.render(&view, RenderTarget { rgb, depth_m: rendered_depth, transmittance });
+        self.list_load.add(&stats);
         let scratch = &mut self.scratch;
         let sigmas_px = self.settings.insertion.sigmas_px;
         for (value, &grey) in scratch.luma.iter_mut().zip(kept.luma) {
@@ -218,17 +222,17 @@ impl Mapper {
             }
             None => {
                 if self.staging.is_full() {
-                    report.n_refused += 1;
+                    report.refused.new_anchors += 1;
                     return;
                 }
                 let record = AnchorRecord { voxel: key, keyframe_ordinal: keyframe.ordinal, n_gaussians: 0 };
                 let Ok(handle) = self.pool.insert(record) else {
-                    report.n_refused += 1;
+                    report.refused.anchors += 1;
                     return;
                 };
                 if self.grid.insert(key, handle.slot).is_err() {
                     self.pool.remove(handle);
-                    report.n_refused += 1;
+                    report.refused.voxels += 1;
                     return;
                 }
                 let header = AnchorHeader {

@@ -5,6 +5,7 @@ use super::decoder::ChunkDecoders;
 use super::depth::{MotionStereo, SparseDepth};
 use super::evict::PageGroups;
 use super::images::{KeptKeyframe, KeyframeImages, MappingImage};
+use super::list_load::ListLoad;
 use super::optimize::OptimizeReport;
 use super::scratch::{ImageScratch, Staging};
 use super::settings::MapperSettings;
@@ -18,6 +19,7 @@ use kilogs_core::map::insertion::MapImageSize;
 use kilogs_core::map::pool::{AnchorPool, AnchorSlot};
 use kilogs_core::map::voxel::{VoxelCell, VoxelGrid};
 use kilogs_core::tracking::{KeyframePoint, RoadPlane};
+use std::ops::Add;
 
 /// Keyframes of one chunk.
 pub const CHUNK_KEYFRAMES: u32 = 100;
@@ -78,12 +80,40 @@ pub struct InsertReport {
     pub n_gaussians: u32,
     /// Samples whose voxel was taken.
     pub n_occupied: u32,
-    /// Samples for which there was no room (anchor pool, voxel grid or staging).
-    pub n_refused: u32,
+    /// Samples for which there was no room.
+    pub refused: MapRefusals<u32>,
     /// Mean transmittance of the map before the insertion: how much was bare.
     pub mean_transmittance: f32,
     /// Whether depth came from motion stereo.
     pub from_stereo: bool,
+}
+
+/// Samples for which there was no room, by the container that was full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MapRefusals<N> {
+    /// The anchors that one keyframe may spawn.
+    pub new_anchors: N,
+    /// The anchors in memory.
+    pub anchors: N,
+    /// The voxel grid.
+    pub voxels: N,
+}
+
+impl<N: Copy + Into<u64>> MapRefusals<N> {
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.new_anchors.into() + self.anchors.into() + self.voxels.into()
+    }
+}
+
+impl<N: Copy + Add<Output = N>> MapRefusals<N> {
+    fn plus<M: Copy + Into<N>>(&self, more: &MapRefusals<M>) -> Self {
+        Self {
+            new_anchors: self.new_anchors + more.new_anchors.into(),
+            anchors: self.anchors + more.anchors.into(),
+            voxels: self.voxels + more.voxels.into(),
+        }
+    }
 }
 
 /// Counts over the whole run.
@@ -96,17 +126,13 @@ pub struct MapCounters {
     /// Gaussians created.
     pub gaussians_total: u64,
     /// Samples refused because something was full.
-    pub refused: u64,
+    pub refused: MapRefusals<u64>,
     /// Largest number of anchors that lived at once.
     pub anchors_resident_peak: u64,
     /// Anchors that ended because all their Gaussians were faint or oversized.
     pub anchors_pruned: u64,
-    /// Gaussians that ended so.
-    pub gaussians_pruned: u64,
     /// Anchors handed to the sink.
     pub anchors_stored: u64,
-    /// Gaussians handed to the sink.
-    pub gaussians_stored: u64,
     /// Pages handed to the sink.
     pub pages_written: u64,
     /// Optimizer steps taken.
@@ -130,6 +156,7 @@ pub struct Mapper {
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
     pub(super) counters: MapCounters,
+    pub(super) list_load: ListLoad,
 }
 
 impl Mapper {
@@ -159,6 +186,7 @@ impl Mapper {
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             counters: MapCounters::default(),
+            list_load: ListLoad::default(),
         }
     }
 
@@ -188,15 +216,15 @@ impl Mapper {
         let mut report = InsertReport::default();
         if self.counters.keyframes == 1 {
             // The first keyframe had nobody to be compared with; now it has.
-            report = self.insert_from(1, &[0], &[], packet.road);
+            report = self.insert_from((1, 0), &[0], &[], packet.road);
         }
-        let newest = self.insert_from(0, &[1, 2, 3], packet.points, packet.road);
+        let newest = self.insert_from((0, 0), &[1, 2, 3], packet.points, packet.road);
         report = InsertReport {
             n_samples: report.n_samples + newest.n_samples,
             n_anchors: report.n_anchors + newest.n_anchors,
             n_gaussians: report.n_gaussians + newest.n_gaussians,
             n_occupied: report.n_occupied + newest.n_occupied,
-            n_refused: report.n_refused + newest.n_refused,
+            refused: report.refused.plus(&newest.refused),
             ..newest
         };
         self.count(&report);
@@ -234,6 +262,11 @@ impl Mapper {
     /// Counts over the whole run.
     pub fn counters(&self) -> MapCounters {
         self.counters
+    }
+
+    /// How full the lists of the backend were since the last call.
+    pub fn take_list_load(&mut self) -> ListLoad {
+        std::mem::take(&mut self.list_load)
     }
 
     /// Sizes fixed at construction.
@@ -279,7 +312,7 @@ impl Mapper {
         let counters = &mut self.counters;
         counters.anchors_total += u64::from(report.n_anchors);
         counters.gaussians_total += u64::from(report.n_gaussians);
-        counters.refused += u64::from(report.n_refused);
+        counters.refused = counters.refused.plus(&report.refused);
         counters.anchors_resident_peak = counters.anchors_resident_peak.max(u64::from(self.pool.n_live()));
     }
 }

@@ -1,6 +1,7 @@
 //! Training steps: which keyframe is looked at next.
 
 use super::mapper::Mapper;
+use super::settings::MapperSettings;
 use crate::splat::{StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
 
@@ -13,18 +14,27 @@ pub struct OptimizeReport {
     pub n_refused: u32,
     /// PSNR of the views before their steps, mean over the steps at mapping resolution, dB.
     pub mean_psnr_db: f32,
-    /// Most Gaussians in view in one step.
-    pub visible_peak: u32,
-    /// Most entries of the lists of tile rows in one step.
-    pub row_entries_peak: u32,
-    /// Most Gaussian-tile pairs in one step.
-    pub pairs_peak: u32,
-    /// Gaussian-tile pairs that did not fit, summed over the steps.
-    pub pairs_refused: u64,
 }
 
 /// Purpose of the draws here (see [`Rng::new`]).
 const VIEW_CHOICE: u64 = 0x7669_6577;
+
+/// Most keyframes before the window that are trained beside it.
+pub const MAX_OLDER_VIEWS: usize = 8;
+
+/// Age of the keyframe that the next step looks at.
+fn draw_age(settings: &MapperSettings, window: usize, older: &[usize], rng: &mut Rng) -> usize {
+    let luck = rng.unit_f32();
+    if luck < settings.newest_share {
+        0
+    } else if luck < settings.newest_share + settings.older_share && !older.is_empty() {
+        older[rng.below(older.len())]
+    } else if window > 1 {
+        1 + rng.below(window - 1)
+    } else {
+        0
+    }
+}
 
 impl Mapper {
     pub(super) fn run_optimizer(&mut self, n_iterations: u32) -> OptimizeReport {
@@ -38,14 +48,7 @@ impl Mapper {
         let settings = StepSettings { decoder_row: self.learning_row(), ..self.settings.step };
         let mut psnr_sum_db = 0.0;
         for _ in 0..n_iterations {
-            let luck = rng.unit_f32();
-            let age = if luck < self.settings.newest_share || window == 1 {
-                0
-            } else if luck < self.settings.newest_share + self.settings.older_share && !older.is_empty() {
-                older[rng.below(older.len())]
-            } else {
-                1 + rng.below(window - 1)
-            };
+            let age = draw_age(&self.settings, window, &older, &mut rng);
             let Some(kept) = self.images.newest(age) else { continue };
             let target = match self.images.channels() {
                 1 => TargetImage::Gray8(kept.pixels),
@@ -58,15 +61,12 @@ impl Mapper {
             };
             let training_view = TrainingView { view, target, depth: None, exposure_slot: None };
             let step = self.backend.train_step(&training_view, &settings);
+            self.list_load.add(&step.stats);
             if step.stats.refused {
                 report.n_refused += 1;
                 continue;
             }
             report.n_iterations += 1;
-            report.visible_peak = report.visible_peak.max(step.stats.visible);
-            report.row_entries_peak = report.row_entries_peak.max(step.stats.row_entries);
-            report.pairs_peak = report.pairs_peak.max(step.stats.pairs);
-            report.pairs_refused += u64::from(step.stats.overflow.pairs);
             psnr_sum_db += -10.0 * step.loss.mse.max(1e-10).log10();
         }
         report.mean_psnr_db = psnr_sum_db / report.n_iterations.max(1) as f32;
@@ -75,7 +75,7 @@ impl Mapper {
     }
 
     /// Ages of keyframes before the window whose anchors are still resident.
-    fn choose_older(&self, rng: &mut Rng) -> heapless::Vec<usize, 8> {
+    fn choose_older(&self, rng: &mut Rng) -> heapless::Vec<usize, MAX_OLDER_VIEWS> {
         let mut chosen = heapless::Vec::new();
         let first = self.settings.window;
         let n_resident = (first..self.images.len())
@@ -86,5 +86,27 @@ impl Mapper {
             let _ = chosen.push(first + rng.below(n_resident));
         }
         chosen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_of_keyframe_gets_its_share_of_the_steps() {
+        let check = |window: usize, older: &[usize], expected: [f32; 3]| {
+            let settings = MapperSettings { newest_share: 0.5, older_share: 0.2, ..MapperSettings::measured(3, 1.0) };
+            let (mut rng, mut shares) = (Rng::new(3, 0, VIEW_CHOICE), [0.0; 3]);
+            for _ in 0..4000 {
+                let age = draw_age(&settings, window, older, &mut rng);
+                shares[if age == 0 { 0 } else { 1 + usize::from(age >= window) }] += 1.0 / 4000.0;
+            }
+            assert!(shares.iter().zip(expected).all(|(got, want)| (got - want).abs() < 0.03), "{window}: {shares:?}");
+        };
+        check(6, &[7, 9], [0.5, 0.3, 0.2]);
+        check(6, &[], [0.5, 0.5, 0.0]);
+        check(1, &[1], [0.8, 0.0, 0.2]);
+        check(1, &[], [1.0, 0.0, 0.0]);
     }
 }

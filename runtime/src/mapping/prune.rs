@@ -23,9 +23,17 @@ impl Mapper {
             min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
             max_sigma_z1: max_sigma_px / focal_px,
         };
-        self.stage(|of_anchor| of_anchor == ordinal);
-        self.read_staged();
         self.read_decoder(ordinal / CHUNK_KEYFRAMES);
+        let mut next_slot = Some(0);
+        while let Some(first_slot) = next_slot {
+            next_slot = self.stage(first_slot, |of_anchor| of_anchor == ordinal);
+            self.read_staged();
+            self.prune_staged(&limits);
+            self.staging.clear();
+        }
+    }
+
+    fn prune_staged(&mut self, limits: &PruneLimits) {
         let k = self.capacity.gaussians_per_anchor;
         // Anchors that lost all Gaussians go to the front, those that lost some behind them.
         let mut n_ended = 0;
@@ -34,8 +42,7 @@ impl Mapper {
             let Staging { headers, params, features, .. } = &mut self.staging;
             let residual = self.decoders.residual_at_spawn(&headers[nth], &features[nth]);
             let before = headers[nth].n_gaussians;
-            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], residual, &limits);
-            self.counters.gaussians_pruned += u64::from(before - after);
+            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], residual, limits);
             if after == before && after > 0 {
                 continue;
             }
@@ -53,7 +60,6 @@ impl Mapper {
         self.backend.write_features(&slots[changed.clone()], &features[changed]);
         self.forget(0..n_ended);
         self.counters.anchors_pruned += n_ended as u64;
-        self.staging.clear();
     }
 }
 

@@ -250,9 +250,62 @@ fn a_new_chunk_begins_with_the_decoder_of_the_one_before_which_is_frozen() {
 fn a_full_pool_refuses_and_says_how_often() {
     let (mut mapper, mut sink) = (mapper(1, 64), MemorySink::default());
     let reports = drive(&mut mapper, 3, &mut sink);
-    assert!(reports.iter().any(|(inserted, _)| inserted.n_refused > 0));
+    assert!(reports.iter().any(|(inserted, _)| inserted.refused.anchors > 0));
     assert_eq!(mapper.counters().anchors_resident_peak, 64);
-    assert!(mapper.counters().refused > 0);
+    let refused = mapper.counters().refused;
+    assert_eq!((refused.anchors, refused.new_anchors, refused.voxels), (refused.total(), 0, 0));
+}
+
+#[test]
+fn lists_that_are_full_in_a_step_or_in_a_comparison_are_told() {
+    let (mut mapper, mut sink) = (mapper_of(1, CAPACITY, MapperSettings::measured(7, 1.0)), MemorySink::default());
+    let tight = Capacities {
+        keyframe_rows: CAPACITY.keyframe_rows,
+        chunk_rows: CAPACITY.chunk_rows,
+        visible_gaussians: 64,
+        row_entries: 64,
+        pairs: 64,
+        ..Capacities::for_map(CAPACITY.anchors, 2, CAMERA.width, CAMERA.height)
+    };
+    mapper.backend = Box::new(CpuBackend::new(tight, 1, SimdLevel::best(), |_| ()).expect("a possible backend"));
+    let mut told = |mapper: &mut Mapper, ordinal: u32, n_steps: u32| {
+        let pixels = picture(STEP_M * f64::from(ordinal));
+        mapper.insert_keyframe(&packet(ordinal, &pixels), &mut sink).expect("a usable keyframe");
+        let compared = mapper.take_list_load();
+        mapper.optimize(n_steps);
+        (compared, mapper.take_list_load())
+    };
+    told(&mut mapper, 0, 0);
+    told(&mut mapper, 1, 0);
+    let (compared, trained) = told(&mut mapper, 2, 3);
+    assert_eq!((compared.n_views, trained.n_views), (1, 3));
+    for load in [compared, trained] {
+        assert!(load.visible.peak > 0 && load.visible.n_refused > 0, "{load:?}");
+    }
+    assert_eq!(mapper.take_list_load(), ListLoad::default());
+}
+
+#[test]
+fn a_keyframe_that_is_visited_again_is_pruned_whole_and_draws_new_numbers() {
+    let samples_of = |visit: u32| {
+        let capacity = MapperCapacity { new_anchors: 100, ..CAPACITY };
+        let (mut mapper, mut sink) = (mapper_of(1, capacity, MapperSettings::measured(7, 1.0)), MemorySink::default());
+        let pictures = [picture(0.0), picture(STEP_M)];
+        for ordinal in [0, 1] {
+            let packet = packet(ordinal, &pictures[ordinal as usize]);
+            mapper.insert_keyframe(&packet, &mut sink).expect("a usable keyframe");
+        }
+        mapper.look_again(&packet(0, &pictures[0])).expect("a usable keyframe");
+        mapper.revisit(&packet(1, &pictures[1]), (1, visit)).expect("a usable keyframe");
+        let n_of_keyframe = mapper.pool.iter().filter(|(_, record)| record.keyframe_ordinal == 1).count();
+        assert!(n_of_keyframe > capacity.new_anchors, "{n_of_keyframe}");
+        mapper.settings.min_opacity = 0.999;
+        mapper.prune_keyframe(1);
+        assert!(mapper.pool.iter().all(|(_, record)| record.keyframe_ordinal != 1), "not one is overlooked");
+        mapper.scratch.samples.clone()
+    };
+    assert_eq!(samples_of(1), samples_of(1));
+    assert_ne!(samples_of(1), samples_of(2));
 }
 
 #[test]

@@ -132,7 +132,7 @@ fn mapping_report(mapping: &MappingSummary, quality: &MapQuality) -> Mapping {
     Mapping {
         anchors_resident: mapping.anchors_resident,
         anchors_total: mapping.store.counts.anchors,
-        anchors_refused: counters.refused,
+        anchors_refused: counters.refused.total(),
         gaussians: mapping.store.counts.gaussians,
         chunks: mapping.store.counts.chunks,
         pages_written: counters.pages_written,

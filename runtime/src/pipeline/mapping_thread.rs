@@ -62,6 +62,7 @@ pub struct MappingWork {
     progress: Arc<MappingProgress>,
     n_images_left_out: u64,
     n_keyframes_refused: u64,
+    has_warned_of_steps: bool,
     training: Duration,
 }
 
@@ -142,6 +143,7 @@ pub fn prepare(
         progress: Arc::clone(progress),
         n_images_left_out: 0,
         n_keyframes_refused: 0,
+        has_warned_of_steps: false,
         training: Duration::ZERO,
     };
     Ok(Some((link, work)))
@@ -326,14 +328,14 @@ impl MappingWork {
     fn train(&mut self, n_iterations: u32) {
         let started = Instant::now();
         let steps = self.mapper.optimize(n_iterations);
-        self.usage.observe(Row::SplatViews, usize::from(steps.visible_peak > 0));
-        self.usage.observe(Row::SplatVisibleGaussians, steps.visible_peak as usize);
-        self.usage.observe(Row::SplatRowEntries, steps.row_entries_peak as usize);
-        self.usage.observe(Row::SplatPairs, steps.pairs_peak as usize);
-        if steps.pairs_refused > 0 {
-            self.usage.refuse(Row::SplatPairs, steps.pairs_refused as usize);
+        self.usage.note_lists(&self.mapper.take_list_load());
+        if steps.n_refused > 0 && !self.has_warned_of_steps {
+            self.has_warned_of_steps = true;
+            log::warn!(
+                "the compute device refuses training steps: the map does not learn what the camera sees from now on"
+            );
         }
-        self.progress.iterations.fetch_add(u64::from(n_iterations), Ordering::Relaxed);
+        self.progress.iterations.fetch_add(u64::from(steps.n_iterations), Ordering::Relaxed);
         self.training += started.elapsed();
     }
 
@@ -366,7 +368,7 @@ impl MappingWork {
         let anchors_resident = u64::from(self.mapper.n_resident_anchors());
         self.mapper.finish_into(&self.store)?;
         let counters = self.mapper.counters();
-        self.usage.refuse(Row::MapAnchors, counters.refused as usize);
+        self.usage.note_map_refusals(&counters.refused);
         // The mapper's memory is needed for judging the map.
         drop(self.mapper);
         let [n_pages, n_images] = self.store.most_buffers();

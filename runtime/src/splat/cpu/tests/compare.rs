@@ -11,8 +11,17 @@ pub enum Difference {
     Relative { error: f64, allowed: f64 },
 }
 
-/// Every value within `tolerance`, except for a share of `band` that lies at a discontinuity.
+/// Every color or coverage within `tolerance`, except for a share of `band` that lies at a discontinuity.
 pub fn compare_pictures(got: &[f32], expected: &[f32], tolerance: f32, band: f64) -> Result<(), Difference> {
+    compare(got, expected, |_| tolerance, band)
+}
+
+/// As [`compare_pictures`], for depths: `tolerance` is absolute up to a meter and relative beyond.
+pub fn compare_depths(got: &[f32], expected: &[f32], tolerance: f32, band: f64) -> Result<(), Difference> {
+    compare(got, expected, |expected_m| tolerance * expected_m.abs().max(1.0), band)
+}
+
+fn compare(got: &[f32], expected: &[f32], tolerance: impl Fn(f32) -> f32, band: f64) -> Result<(), Difference> {
     if got.len() != expected.len() || got.is_empty() {
         return Err(Difference::Shape { got: got.len(), expected: expected.len() });
     }
@@ -21,7 +30,7 @@ pub fn compare_pictures(got: &[f32], expected: &[f32], tolerance: f32, band: f64
     for (i, (&g, &e)) in got.iter().zip(expected).enumerate() {
         let error = (g - e).abs();
         // A NaN on either side is not `same`.
-        let same = error <= tolerance * (1.0 + e.abs());
+        let same = error <= tolerance(e);
         if !same {
             n += 1;
             if error > worst || error.is_nan() {
@@ -64,6 +73,16 @@ fn the_picture_comparer_can_fail() {
     assert_eq!(compare_pictures(&two_wrong, &expected, 1e-4, 0.002), Ok(()), "two of a thousand are a band");
     two_wrong[3] = 9.0;
     assert!(compare_pictures(&two_wrong, &expected, 1e-4, 0.002).is_err(), "three are not");
+}
+
+#[test]
+fn only_depths_may_be_off_in_proportion() {
+    let (got, expected) = ([100.009], [100.0]);
+    assert!(compare_pictures(&got, &expected, 1e-4, 0.0).is_err());
+    assert_eq!(compare_depths(&got, &expected, 1e-4, 0.0), Ok(()));
+    assert!(compare_depths(&[100.011], &expected, 1e-4, 0.0).is_err());
+    assert!(compare_depths(&[0.00011], &[0.0], 1e-4, 0.0).is_err());
+    assert!(compare_pictures(&[0.99985], &[1.0], 1e-4, 0.0).is_err(), "a bright color is no excuse");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //! `tests/golden/*.bin` hold the six smaller scenes: magic `KGLD`, n, width, height as u32, then little-endian f32 in
 //! the order of [`Scene::read`]. More scenes in the same form are read from the folder `KILOGS_GOLDEN`.
 
-use super::compare::{compare_gradients, compare_pictures};
+use super::compare::{compare_depths, compare_gradients, compare_pictures};
 use crate::splat::cpu::decode::{N_PARAMS, group};
 use crate::splat::cpu::{CpuBackend, SimdLevel};
 use crate::splat::*;
@@ -165,10 +165,15 @@ pub fn check_picture(scene: &Scene, backend: &mut dyn SplatBackend, who: &str) {
     let target = RenderTarget { rgb: &mut rgb, depth_m: &mut depth_m, transmittance: &mut transmittance };
     let stats = backend.render(&scene.view, target);
     assert_eq!((stats.overflow, stats.refused), (Overflow::default(), false), "{}", scene.name);
-    let rgbd: Vec<f32> = rgb.iter().zip(&depth_m).flat_map(|(c, d)| [c[0], c[1], c[2], *d]).collect();
+    let expected_pixels = scene.image_rgbd.as_chunks::<4>().0;
+    let expected_rgb: Vec<f32> = expected_pixels.iter().flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+    let expected_depth_m: Vec<f32> = expected_pixels.iter().map(|pixel| pixel[3]).collect();
     let alpha: Vec<f32> = transmittance.iter().map(|t| 1.0 - t).collect();
-    for (what, got, expected) in [("rgbd", &rgbd, &scene.image_rgbd), ("alpha", &alpha, &scene.alpha)] {
-        let result = compare_pictures(got, expected, 1e-4, 0.002);
+    for (what, result) in [
+        ("rgb", compare_pictures(rgb.as_flattened(), &expected_rgb, 1e-4, 0.002)),
+        ("depth", compare_depths(&depth_m, &expected_depth_m, 1e-4, 0.002)),
+        ("alpha", compare_pictures(&alpha, &scene.alpha, 1e-4, 0.002)),
+    ] {
         assert_eq!(result, Ok(()), "{what} of {} with {who}", scene.name);
     }
 }
