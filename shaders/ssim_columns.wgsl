@@ -9,7 +9,6 @@ struct Sums {
     by_covariance: vec4<f32>,
 }
 
-// Constant weights instead of a loop: a table that is indexed is copied for every pixel.
 fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
     let n = view.width * view.height;
     let at = tap_of(s, tap);
@@ -33,25 +32,10 @@ fn store(s: Strip, j: u32, by_mean: f32, by_variance: f32, by_covariance: f32) {
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    // Not an early return: software Vulkan (Mesa 22.3) does not give the memory of such a dispatch back.
-    let end = select(n_strips(), 0u, view.ssim_weight == 0.0);
+    let end = end_of_strips();
     for (var i = id.x; i < end; i += LOSS_PIECES) {
         let s = strip_of(i);
-        var sums = Sums();
-        add_tap(s, 0u, TAP_0, &sums);
-        add_tap(s, 1u, TAP_1, &sums);
-        add_tap(s, 2u, TAP_2, &sums);
-        add_tap(s, 3u, TAP_3, &sums);
-        add_tap(s, 4u, TAP_4, &sums);
-        add_tap(s, 5u, TAP_5, &sums);
-        add_tap(s, 6u, TAP_6, &sums);
-        add_tap(s, 7u, TAP_7, &sums);
-        add_tap(s, 8u, TAP_8, &sums);
-        add_tap(s, 9u, TAP_9, &sums);
-        add_tap(s, 10u, TAP_10, &sums);
-        add_tap(s, 11u, TAP_11, &sums);
-        add_tap(s, 12u, TAP_12, &sums);
-        add_tap(s, 13u, TAP_13, &sums);
+        let sums = sum_windows(s);
         store(s, 0u, sums.by_mean.x, sums.by_variance.x, sums.by_covariance.x);
         store(s, 1u, sums.by_mean.y, sums.by_variance.y, sums.by_covariance.y);
         store(s, 2u, sums.by_mean.z, sums.by_variance.z, sums.by_covariance.z);

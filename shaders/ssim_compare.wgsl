@@ -41,7 +41,6 @@ struct Sums {
     xy: vec4<f32>,
 }
 
-// Constant weights instead of a loop: a table that is indexed is copied for every pixel.
 fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
     let n = view.width * view.height;
     let at = tap_of(s, tap);
@@ -70,25 +69,10 @@ fn store(s: Strip, j: u32, value: f32, by_mean: f32, by_variance: f32, by_covari
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var total = 0.0;
-    // Not an early return: software Vulkan (Mesa 22.3) does not give the memory of such a dispatch back.
-    let end = select(n_strips(), 0u, view.ssim_weight == 0.0);
+    let end = end_of_strips();
     for (var i = id.x; i < end; i += LOSS_PIECES) {
         let s = strip_of(i);
-        var sums = Sums();
-        add_tap(s, 0u, TAP_0, &sums);
-        add_tap(s, 1u, TAP_1, &sums);
-        add_tap(s, 2u, TAP_2, &sums);
-        add_tap(s, 3u, TAP_3, &sums);
-        add_tap(s, 4u, TAP_4, &sums);
-        add_tap(s, 5u, TAP_5, &sums);
-        add_tap(s, 6u, TAP_6, &sums);
-        add_tap(s, 7u, TAP_7, &sums);
-        add_tap(s, 8u, TAP_8, &sums);
-        add_tap(s, 9u, TAP_9, &sums);
-        add_tap(s, 10u, TAP_10, &sums);
-        add_tap(s, 11u, TAP_11, &sums);
-        add_tap(s, 12u, TAP_12, &sums);
-        add_tap(s, 13u, TAP_13, &sums);
+        let sums = sum_windows(s);
         let found = similarity(sums.mean_x, sums.mean_y, sums.xx, sums.yy, sums.xy);
         total += store(s, 0u, found.value.x, found.by_mean.x, found.by_variance.x, found.by_covariance.x);
         total += store(s, 1u, found.value.y, found.by_mean.y, found.by_variance.y, found.by_covariance.y);

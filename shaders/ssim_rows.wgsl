@@ -14,7 +14,6 @@ struct Sums {
     sum_xy: vec4<f32>,
 }
 
-// Constant weights instead of a loop: a table that is indexed is copied for every pixel.
 fn add_tap(s: Strip, tap: u32, weight: vec4<f32>, sums: ptr<function, Sums>) {
     let n = view.width * view.height;
     let at = tap_of(s, tap);
@@ -46,25 +45,10 @@ fn store(s: Strip, j: u32, x: f32, y: f32, xx: f32, yy: f32, xy: f32) {
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    // Not an early return: software Vulkan (Mesa 22.3) does not give the memory of such a dispatch back.
-    let end = select(n_strips(), 0u, view.ssim_weight == 0.0);
+    let end = end_of_strips();
     for (var i = id.x; i < end; i += LOSS_PIECES) {
         let s = strip_of(i);
-        var sums = Sums();
-        add_tap(s, 0u, TAP_0, &sums);
-        add_tap(s, 1u, TAP_1, &sums);
-        add_tap(s, 2u, TAP_2, &sums);
-        add_tap(s, 3u, TAP_3, &sums);
-        add_tap(s, 4u, TAP_4, &sums);
-        add_tap(s, 5u, TAP_5, &sums);
-        add_tap(s, 6u, TAP_6, &sums);
-        add_tap(s, 7u, TAP_7, &sums);
-        add_tap(s, 8u, TAP_8, &sums);
-        add_tap(s, 9u, TAP_9, &sums);
-        add_tap(s, 10u, TAP_10, &sums);
-        add_tap(s, 11u, TAP_11, &sums);
-        add_tap(s, 12u, TAP_12, &sums);
-        add_tap(s, 13u, TAP_13, &sums);
+        let sums = sum_windows(s);
         store(s, 0u, sums.sum_x.x, sums.sum_y.x, sums.sum_xx.x, sums.sum_yy.x, sums.sum_xy.x);
         store(s, 1u, sums.sum_x.y, sums.sum_y.y, sums.sum_xx.y, sums.sum_yy.y, sums.sum_xy.y);
         store(s, 2u, sums.sum_x.z, sums.sum_y.z, sums.sum_xx.z, sums.sum_yy.z, sums.sum_xy.z);
