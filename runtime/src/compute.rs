@@ -200,7 +200,7 @@ impl Compute {
 fn run_error(error: &DeviceError, capacities: &Capacities) -> RunError {
     let too_large = match error {
         DeviceError::ArenaFull(full) => full.row,
-        DeviceError::BufferTooLarge { name, .. } => name,
+        DeviceError::BufferTooLarge { name, .. } | DeviceError::TooManyGroups { name, .. } => name,
         _ => return RunError::Device(error.to_string()),
     };
     RunError::Usage(format!("[{}] is too large: {error}", row_behind_buffer(too_large, capacities)))

@@ -4,14 +4,17 @@
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
 use super::kernel_constants::{
-    self as constants, BLOCK_PX, DECODER_PIECES, DIGITS, FEATURE_LEN, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS,
-    N_SPLAT_GRADS, SORT_PIECES, TILE_GROUP, TILE_PX,
+    self as constants, DECODER_PIECES, DIGITS, FEATURE_LEN, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS,
+    SORT_PIECES, TILE_GROUP, TILE_PX,
 };
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
 use super::{Capacities, DecoderShape, MemoryRow};
 
+mod groups;
 mod learn;
+
+pub use groups::{Extent, Stage, WorkSize, Workgroups, check_groups};
 
 /// Declares the buffers: the enum, its names and how large each is.
 macro_rules! buffers {
@@ -209,81 +212,6 @@ impl Buffer {
     /// Name of the buffer in budgets and messages.
     pub fn name(self, plan: &[MemoryRow; Self::ALL.len()]) -> &'static str {
         plan[self as usize].name
-    }
-}
-
-/// One dispatch.
-#[derive(Clone, Copy, Debug)]
-pub struct Stage {
-    /// What runs.
-    pub kernel: Kernel,
-    /// What its storage bindings 1, 2, ... are; [`Buffer::View`] is always binding 0.
-    pub buffers: &'static [Buffer],
-    /// Over what it runs.
-    pub extent: Extent,
-}
-
-/// What a stage has an invocation or a workgroup for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Extent {
-    /// This many workgroups.
-    Groups(u32),
-    /// An invocation per slot that may be in use.
-    Slots,
-    /// An invocation per pixel.
-    Pixels,
-    /// An invocation per block of pixels, 16 consecutive ones to a tile.
-    Blocks,
-    /// A workgroup per tile.
-    Tiles,
-    /// A workgroup per row of tiles.
-    TileRows,
-    /// Three words of [`Buffer::Dispatch`] from this byte on; that buffer is then not bound to the kernel.
-    Indirect(u32),
-}
-
-/// Size of a run's work.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WorkSize {
-    /// Slots below this number may be in use.
-    pub slots: u32,
-    /// Width of the picture, px.
-    pub width_px: u32,
-    /// Height of the picture, px.
-    pub height_px: u32,
-}
-
-impl WorkSize {
-    /// Columns and rows of tiles.
-    pub fn tiles(&self) -> [u32; 2] {
-        [self.width_px.div_ceil(TILE_PX), self.height_px.div_ceil(TILE_PX)]
-    }
-}
-
-/// How many workgroups a stage has; always along x.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Workgroups {
-    /// Known to the host; 0 means that the dispatch is left out.
-    Direct(u32),
-    /// Three words of [`Buffer::Dispatch`] from this byte on.
-    Indirect(u32),
-}
-
-impl Stage {
-    /// Workgroups for a run.
-    pub fn workgroups(&self, work: &WorkSize) -> Workgroups {
-        let size = self.kernel.spec().workgroup_size;
-        let [columns, rows] = work.tiles();
-        let blocks_per_tile = (TILE_PX / BLOCK_PX) * (TILE_PX / BLOCK_PX);
-        Workgroups::Direct(match self.extent {
-            Extent::Groups(n) => n,
-            Extent::Slots => work.slots.div_ceil(size),
-            Extent::Pixels => (work.width_px * work.height_px).div_ceil(size),
-            Extent::Blocks => (columns * rows * blocks_per_tile).div_ceil(size),
-            Extent::Tiles => columns * rows,
-            Extent::TileRows => rows,
-            Extent::Indirect(offset_bytes) => return Workgroups::Indirect(offset_bytes),
-        })
     }
 }
 

@@ -29,6 +29,19 @@ pub enum DeviceError {
         /// What the device allows.
         limit: usize,
     },
+    /// A buffer has more elements than one dispatch of the device can walk. Lower the row.
+    #[error(
+        "planning the kernels: [{name}] needs {groups} workgroups at once, the device takes {limit}; lower the capacity \
+         behind it in memory_budget.toml, or use --backend cpu"
+    )]
+    TooManyGroups {
+        /// Name of the buffer.
+        name: &'static str,
+        /// Workgroups that it needs.
+        groups: u32,
+        /// Workgroups that the device takes.
+        limit: u32,
+    },
     /// A row does not fit into the arena that the budget grants. Lower the row.
     #[error(transparent)]
     ArenaFull(#[from] ArenaFull),

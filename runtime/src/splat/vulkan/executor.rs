@@ -7,7 +7,7 @@ use super::memory::{DeviceBlock, HostBlock};
 use super::sets::Sets;
 use crate::splat::Capacities;
 use crate::splat::device::{Arena, DeviceError, EXCHANGE_BYTES, Executor};
-use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan};
+use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan, check_groups};
 use ash::vk;
 use std::sync::Arc;
 
@@ -44,6 +44,7 @@ impl VulkanExecutor {
     /// # Errors
     /// [`DeviceError`] names the row that does not fit, or what the device lacks.
     pub fn new(device: &Arc<VulkanDevice>, capacities: &Capacities, cap_bytes: u64) -> Result<Self, DeviceError> {
+        check_groups(capacities, device.limits().max_groups[0])?;
         let block = DeviceBlock::new(device, cap_bytes, &buffer_plan(capacities))?;
         let free_bytes = cap_bytes - block.arena().used_bytes();
         let exchange = HostBlock::new(device, free_bytes, "splat.device.exchange", EXCHANGE_BYTES as u64)?;
@@ -151,14 +152,8 @@ impl VulkanExecutor {
     }
 
     fn dispatch(&mut self, part: Part, idx: usize, stage: &Stage, groups: Workgroups) -> Result<(), DeviceError> {
-        let most = self.device.limits().max_groups[0];
-        match groups {
-            Workgroups::Direct(0) => return Ok(()),
-            Workgroups::Direct(n) if n > most => {
-                let kernel = stage.kernel.spec().name;
-                return Err(DeviceError::Kernel { kernel, reason: format!("{n} workgroups, the device takes {most}") });
-            }
-            _ => {}
+        if groups == Workgroups::Direct(0) {
+            return Ok(());
         }
         let buffer = self.record()?;
         if self.has_dispatched || self.touched != 0 {

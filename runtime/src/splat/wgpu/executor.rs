@@ -4,7 +4,7 @@ use crate::splat::device::{Arena, DeviceError, Executor};
 #[cfg(test)]
 use crate::splat::kernels::Kernel;
 use crate::splat::kernels::{Access, KERNELS, KernelSpec};
-use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan};
+use crate::splat::program::{Buffer, Part, Stage, WorkSize, Workgroups, buffer_plan, check_groups};
 use crate::splat::{Capacities, MemoryRow};
 use std::sync::{Arc, Mutex};
 
@@ -43,6 +43,7 @@ impl WgpuExecutor {
         let device_bytes = arena.used_bytes() as usize;
         let adapter = best_adapter()?;
         let limits = adapter.limits();
+        check_groups(capacities, limits.max_compute_workgroups_per_dimension)?;
         check_limits(&plan, &limits)?;
         let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..wgpu::DeviceDescriptor::default() };
         let (device, queue) =

@@ -87,6 +87,16 @@ fn a_buffer_beyond_the_limit_of_the_device_is_refused_by_name() {
 }
 
 #[test]
+fn more_workgroups_than_the_device_takes_are_refused_by_name() {
+    let Some(device) = device() else { return };
+    let slots = 256 * (device.limits().max_groups[0] as usize + 1);
+    match VulkanExecutor::new(&device, &Capacities::for_map(slots, 1, 64, 48), u64::MAX) {
+        Err(DeviceError::TooManyGroups { name, .. }) => assert_eq!(name, "splat.device.anchors"),
+        other => panic!("{:?}", other.err()),
+    }
+}
+
+#[test]
 fn a_lost_device_is_told_and_nothing_hangs() {
     let Some(mut executor) = executor() else { return };
     let mut read = [0; 4];
