@@ -8,6 +8,17 @@ use crate::splat::cpu::tests::scenes;
 use crate::splat::*;
 use kilogs_core::math::rng::Rng;
 
+/// Compares the gradients of the Gaussians' numbers, group by group, as their magnitudes differ.
+pub fn check_param_gradients(got: &[[f32; N_PARAMS]], expected: &[[f32; N_PARAMS]], allowed: f64, who: &str) {
+    let groups = [("offset", 0..3), ("log_scale", 3..6), ("rotation", 6..10), ("opacity", 10..11), ("color", 11..14)];
+    for (what, range) in groups {
+        let columns = |g: &[[f32; N_PARAMS]]| g.iter().flat_map(|g| g[range.clone()].to_vec()).collect::<Vec<f32>>();
+        let result = compare_gradients(&columns(got), &columns(expected), allowed);
+        println!("{what} of {who}: {result:?}");
+        assert!(result.is_ok(), "{what} of {who}: {result:?}");
+    }
+}
+
 #[test]
 fn gradients_match_golden() {
     for scene in Scene::all() {

@@ -1,3 +1,4 @@
+mod against_cpu;
 mod decoder;
 mod devices;
 mod fallback;

@@ -1,6 +1,7 @@
 //! Training steps of the device backends against the CPU backend.
 
 use super::devices::{TrainingGradients, on_every_device};
+use super::gradients::check_param_gradients;
 use crate::splat::cpu::decode::N_PARAMS;
 use crate::splat::cpu::tests::compare::compare_gradients;
 use crate::splat::cpu::tests::scenes::{K, anchors, view};
@@ -71,16 +72,7 @@ impl Problem {
             self.fill(backend);
             let TrainingGradients { report, params, texels } =
                 backend.training_gradients(&self.training(), &self.settings);
-            let columns = |g: &[[f32; N_PARAMS]], range: core::ops::Range<usize>| -> Vec<f32> {
-                g.iter().flat_map(|g| g[range.clone()].to_vec()).collect()
-            };
-            for (what, range) in
-                [("offset", 0..3), ("log_scale", 3..6), ("rotation", 6..10), ("opacity", 10..11), ("color", 11..14)]
-            {
-                let result = compare_gradients(&columns(&params, range.clone()), &columns(&expected, range), allowed);
-                println!("{who} {what}: {result:?}");
-                assert!(result.is_ok(), "{what} with {who}: {result:?}");
-            }
+            check_param_gradients(&params, &expected, allowed, who);
             let result = compare_gradients(texels.as_flattened(), expected_texels.as_flattened(), 1e-3);
             println!("{who} texels: {result:?}");
             assert!(result.is_ok(), "texels with {who}: {result:?}");
