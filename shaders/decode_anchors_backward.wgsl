@@ -1,5 +1,5 @@
-// From gradients of the candidates' numbers to those of the decoder that learns, summed over one piece of the candidates
-// per workgroup, and the Adam step of the features. The hidden layer is computed once more instead of being kept.
+// From gradients of the candidates' numbers to those of the decoder that learns and of the camera's place, summed over one
+// piece of the candidates per workgroup, and the Adam step of the features. The hidden layer is computed once more instead of being kept.
 @group(0) @binding(5) var<storage, read_write> features: array<f32>;
 @group(0) @binding(6) var<storage, read> decoders: array<f32>;
 @group(0) @binding(7) var<storage, read> effective: array<f32>;
@@ -65,6 +65,48 @@ fn step_feature(seen: Seen, steps: f32) {
     }
 }
 
+// Gradient with respect to the moving of the camera's pose, through what the decoder is told of an anchor's place.
+fn camera_gradient(seen: Seen) -> vec3<f32> {
+    var grad = vec4<f32>();
+    for (var i = 0u; i < INPUTS - FEATURE_LEN; i++) {
+        let row = seen.weights + (FEATURE_LEN + i) * HIDDEN;
+        for (var unit = 0u; unit < HIDDEN; unit++) {
+            grad[i] += decoders[row + unit] * hidden_grads[seen.a * HIDDEN + unit];
+        }
+    }
+    let anchor = anchors[seen.slot];
+    let placement = keyframes[anchor.keyframe_row];
+    let from_camera = from_camera_of(anchor, placement);
+    let length_m = length(from_camera);
+    let distance_m = max(length_m, MIN_DISTANCE_M);
+    let unit = from_camera / distance_m;
+    // Below the smallest distance nothing is divided by the length.
+    let along = select(0.0, dot(grad.xyz, unit) - grad.w * LOG2_E / LOG2_DISTANCE_UNIT, length_m > MIN_DISTANCE_M);
+    let by_place = (grad.xyz - unit * along) / distance_m;
+    let by_shift = vec3<f32>(
+        dot(placement.row_x.xyz, by_place), dot(placement.row_y.xyz, by_place), dot(placement.row_z.xyz, by_place),
+    );
+    let out = by_shift / dot(placement.row_x.xyz, placement.row_x.xyz);
+    // Not a number fails this comparison.
+    return select(vec3<f32>(), out, all(abs(out) < vec3<f32>(MAX_GRADIENT)));
+}
+
+// Adds up one number of all invocations behind the sums of all pieces.
+fn add_up(lane: u32, piece: u32, which: u32, part: f32) {
+    // The inputs are not needed any more.
+    inputs[lane] = part;
+    workgroupBarrier();
+    for (var half = GROUP / 2u; half > 0u; half = half / 2u) {
+        if lane < half {
+            inputs[lane] += inputs[lane + half];
+        }
+        workgroupBarrier();
+    }
+    if lane == 0u {
+        decoder_sums[DECODER_PIECES * decoder_len() + piece * 3u + which] = inputs[0];
+    }
+}
+
 // Adds the gradients of a weight from all anchors at hand: what its layer reads times the gradient of what it makes.
 fn grad_of_weight(w: u32, done: u32) -> f32 {
     var sum = 0.0;
@@ -94,6 +136,7 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     for (var w = lane; w < n_learning; w += GROUP) {
         decoder_sums[sums + w] = 0.0;
     }
+    var shift = vec3<f32>();
     let n_blocks = (counters.candidates + GROUP - 1u) / GROUP;
     for (var block = group.x; block < n_blocks; block += DECODER_PIECES) {
         list_firsts(lane, block);
@@ -111,10 +154,18 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
             if is_seen && view.feature_rate > 0.0 {
                 step_feature(seen, steps);
             }
+            if view.finds_pose != 0u && seen.quad == 0u && seen.n_numbers > 0u {
+                shift += camera_gradient(seen);
+            }
             for (var w = lane; w < n_learning; w += GROUP) {
                 decoder_sums[sums + w] += grad_of_weight(w, done);
             }
             workgroupBarrier();
+        }
+    }
+    if view.finds_pose != 0u {
+        for (var i = 0u; i < 3u; i++) {
+            add_up(lane, group.x, i, shift[i]);
         }
     }
 }

@@ -1,11 +1,12 @@
 // From sums over pixels to gradients with respect to the numbers that were decoded, which they replace; and the
-// anisotropy of the visible Gaussians, added up per workgroup. One invocation per candidate.
+// anisotropy of the visible Gaussians and their gradients with respect to the camera's pose, added up per workgroup. One
+// invocation per candidate.
 @group(0) @binding(4) var<storage, read> counters: Counters;
 @group(0) @binding(5) var<storage, read> splats: array<Splat>;
 @group(0) @binding(6) var<storage, read> bounds: Bounds;
 @group(0) @binding(7) var<storage, read_write> splat_sums: array<i32>;
 @group(0) @binding(8) var<storage, read_write> effective: array<f32>;
-@group(0) @binding(9) var<storage, read_write> anisotropy_sums: array<f32>;
+@group(0) @binding(9) var<storage, read_write> candidate_sums: array<f32>;
 
 var<workgroup> partial: array<f32, GROUP>;
 
@@ -69,17 +70,35 @@ fn store(c: u32, n: Numbers) {
     effective[13u * cap + c] = n.color.z;
 }
 
-// Replaces the numbers of a visible candidate by gradients; returns its anisotropy |s - mean(s)|_1, with the scales in
-// units of the anchor's extent.
-fn backward(c: u32) -> f32 {
+// What a candidate adds to the sums over all of them, in their order.
+struct Parts {
+    // |s - mean(s)|_1, with the scales in units of the anchor's extent.
+    anisotropy: f32,
+    // With respect to the camera's pose.
+    turn: vec3<f32>,
+    shift: vec3<f32>,
+}
+
+// Gradient with respect to the anchor's place in the camera's frame, through the fading between levels.
+fn fading(anchor: DeviceAnchor, by_log_opacity: f32) -> vec3<f32> {
+    let at = in_camera(keyframes[anchor.keyframe_row], position_of(anchor));
+    let distance_m = length(at);
+    let slope = band_opacity_slope(level_of(anchor), distance_m);
+    let share = by_log_opacity * slope / band_opacity(level_of(anchor), distance_m);
+    return select(vec3<f32>(), share * at / distance_m, slope != 0.0);
+}
+
+// Replaces the numbers of a visible candidate by gradients.
+fn backward(c: u32) -> Parts {
     let anchor = anchors[candidates[c] / view.k];
     let placement = keyframes[anchor.keyframe_row];
     let extent = extent_of(anchor);
     let numbers = effective_numbers(c);
     let g = decode(position_of(anchor), extent, numbers);
     let p = project(placement, g);
-    let grad = project_backward(placement, g, p, splat_gradient(c, splats[c], g.opacity, p));
-    var out = decode_backward(extent, numbers, g, grad);
+    let grad_splat = splat_gradient(c, splats[c], g.opacity, p);
+    let grad = project_backward(placement, g, p, grad_splat);
+    var out = decode_backward(extent, numbers, g, grad.gaussian);
     let scale = exponential3(numbers.log_scale);
     let from_mean = scale - (scale.x + scale.y + scale.z) * (1.0 / 3.0);
     let side = sign(from_mean);
@@ -87,21 +106,21 @@ fn backward(c: u32) -> f32 {
     let weight = view.isotropy_weight / f32(max(counters.visible, 1u));
     out.log_scale += weight * (side - mean_side) * scale;
     store(c, out);
-    return abs(from_mean.x) + abs(from_mean.y) + abs(from_mean.z);
+    let anisotropy = abs(from_mean.x) + abs(from_mean.y) + abs(from_mean.z);
+    if view.finds_pose == 0u {
+        return Parts(anisotropy, vec3<f32>(), vec3<f32>());
+    }
+    let turn = turn_of(p, grad);
+    let shift = grad.mean_in_camera + fading(anchor, grad_splat.opacity * g.opacity);
+    // Not a number fails this comparison.
+    let limit = vec3<f32>(MAX_GRADIENT);
+    let usable = all((abs(turn) < limit) & (abs(shift) < limit));
+    return Parts(anisotropy, select(vec3<f32>(), turn, usable), select(vec3<f32>(), shift, usable));
 }
 
-@compute @workgroup_size(GROUP)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) lane: u32,
-        @builtin(workgroup_id) group: vec3<u32>) {
-    var anisotropy = 0.0;
-    if id.x < counters.candidates {
-        if is_visible(splats[id.x]) {
-            anisotropy = backward(id.x);
-        } else {
-            store(id.x, Numbers());
-        }
-    }
-    partial[lane] = anisotropy;
+// Adds up one number of all invocations.
+fn add_up(lane: u32, group: u32, which: u32, part: f32) {
+    partial[lane] = part;
     workgroupBarrier();
     for (var half = GROUP / 2u; half > 0u; half = half / 2u) {
         if lane < half {
@@ -110,6 +129,26 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
         workgroupBarrier();
     }
     if lane == 0u {
-        anisotropy_sums[group.x] = partial[0];
+        candidate_sums[group * N_CANDIDATE_SUMS + which] = partial[0];
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) lane: u32,
+        @builtin(workgroup_id) group: vec3<u32>) {
+    var parts = Parts();
+    if id.x < counters.candidates {
+        if is_visible(splats[id.x]) {
+            parts = backward(id.x);
+        } else {
+            store(id.x, Numbers());
+        }
+    }
+    add_up(lane, group.x, 0u, parts.anisotropy);
+    if view.finds_pose != 0u {
+        for (var i = 0u; i < 3u; i++) {
+            add_up(lane, group.x, SUM_POSE - SUM_ANISOTROPY + i, parts.turn[i]);
+            add_up(lane, group.x, SUM_POSE - SUM_ANISOTROPY + 3u + i, parts.shift[i]);
+        }
     }
 }

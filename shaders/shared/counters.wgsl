@@ -5,6 +5,6 @@ struct Counters {
     entries_needed: u32,
     pairs_needed: u32,
     pairs: u32,
-    spare_a: u32,
-    spare_b: u32,
+    masked_pixels: u32,
+    spare: u32,
 }

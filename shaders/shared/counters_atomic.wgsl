@@ -5,6 +5,6 @@ struct Counters {
     entries_needed: atomic<u32>,
     pairs_needed: atomic<u32>,
     pairs: atomic<u32>,
-    spare_a: u32,
-    spare_b: u32,
+    masked_pixels: atomic<u32>,
+    spare: u32,
 }

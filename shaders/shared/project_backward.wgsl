@@ -25,8 +25,23 @@ fn rotation_backward(q: vec4<f32>, d: mat3x3<f32>) -> vec4<f32> {
     );
 }
 
+// Gradients with respect to what is projected.
+struct ProjectedGradient {
+    gaussian: Decoded,
+    mean_in_camera: vec3<f32>,
+    // Column by column.
+    root: mat3x3<f32>,
+}
+
+// With respect to the turning omega of a left increment of the camera's pose: a mean moves by omega x mean, the columns of
+// the covariance's root turn by omega x column. (That of the moving is that of the mean.)
+fn turn_of(p: Projected, grad: ProjectedGradient) -> vec3<f32> {
+    return cross(p.mean_in_camera, grad.mean_in_camera) + cross(p.root[0], grad.root[0])
+        + cross(p.root[1], grad.root[1]) + cross(p.root[2], grad.root[2]);
+}
+
 // Gradients with respect to the decoded Gaussian, from those with respect to its splat.
-fn project_backward(placement: KeyframeBlock, g: Decoded, p: Projected, grad: SplatGradient) -> Decoded {
+fn project_backward(placement: KeyframeBlock, g: Decoded, p: Projected, grad: SplatGradient) -> ProjectedGradient {
     let grad_root_px_x = grad.root_px_x;
     let grad_root_px_y = grad.root_px_y;
     let inverse_z = 1.0 / p.mean_in_camera.z;
@@ -51,7 +66,7 @@ fn project_backward(placement: KeyframeBlock, g: Decoded, p: Projected, grad: Sp
     let grad_oriented = to_keyframe * grad_root;
     let grad_rotation =
         mat3x3<f32>(grad_oriented[0] * g.scale.x, grad_oriented[1] * g.scale.y, grad_oriented[2] * g.scale.z);
-    return Decoded(
+    let gaussian = Decoded(
         to_keyframe * grad_mean,
         rotation_backward(g.rotation, grad_rotation),
         vec3<f32>(
@@ -62,4 +77,5 @@ fn project_backward(placement: KeyframeBlock, g: Decoded, p: Projected, grad: Sp
         grad.opacity,
         grad.color,
     );
+    return ProjectedGradient(gaussian, grad_mean, grad_root);
 }

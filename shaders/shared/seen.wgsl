@@ -79,13 +79,17 @@ fn seen_anchor(lane: u32, done: u32) -> Seen {
     return seen;
 }
 
-// Direction from the camera to an anchor in the axes of its keyframe, and the logarithm of the distance.
-fn view_input(anchor: DeviceAnchor) -> vec4<f32> {
-    let placement = keyframes[anchor.keyframe_row];
+// An anchor's place from the camera, in the axes and units of its keyframe.
+fn from_camera_of(anchor: DeviceAnchor, placement: KeyframeBlock) -> vec3<f32> {
     let p = in_camera(placement, position_of(anchor));
     let rotated = placement.row_x.xyz * p.x + placement.row_y.xyz * p.y + placement.row_z.xyz * p.z;
     // The rows are those of a rotation times the keyframe's scale.
-    let from_camera = rotated / dot(placement.row_x.xyz, placement.row_x.xyz);
+    return rotated / dot(placement.row_x.xyz, placement.row_x.xyz);
+}
+
+// Direction from the camera to an anchor in the axes of its keyframe, and the logarithm of the distance.
+fn view_input(anchor: DeviceAnchor) -> vec4<f32> {
+    let from_camera = from_camera_of(anchor, keyframes[anchor.keyframe_row]);
     let distance_m = max(length(from_camera), MIN_DISTANCE_M);
     let log_distance = (binary_logarithm(distance_m) - LOG2_MIDDLE_DISTANCE) / LOG2_DISTANCE_UNIT;
     return vec4<f32>(from_camera / distance_m, log_distance);

@@ -21,10 +21,17 @@ fn angle_of(y: f32, x: f32) -> f32 {
 struct Corners {
     at: vec4<u32>,
     weight: vec4<f32>,
+    // Column, shifted by one, and row.
+    place: vec2<f32>,
+}
+
+// Ray in map axes, not normalised.
+fn ray_of(x_px: f32, y_px: f32) -> vec3<f32> {
+    return view.ray_corner.xyz + x_px * view.ray_right.xyz + y_px * view.ray_down.xyz;
 }
 
 fn corners_of(x_px: f32, y_px: f32) -> Corners {
-    let d = view.ray_corner.xyz + x_px * view.ray_right.xyz + y_px * view.ray_down.xyz;
+    let d = ray_of(x_px, y_px);
     let azimuth = angle_of(d.x, d.z);
     let elevation = angle_of(-d.y, sqrt(d.x * d.x + d.z * d.z));
     let turn = select(azimuth, azimuth + TAU, azimuth < 0.0);
@@ -41,5 +48,6 @@ fn corners_of(x_px: f32, y_px: f32) -> Corners {
     return Corners(
         vec4<u32>(rows.xx + columns, rows.yy + columns),
         vec4<f32>((1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy),
+        vec2<f32>(column, row),
     );
 }

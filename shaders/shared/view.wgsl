@@ -45,9 +45,9 @@ struct ViewBlock {
     output_rotation_rate: f32,
     output_opacity_rate: f32,
     output_color_rate: f32,
-    spare_a: u32,
-    spare_b: u32,
-    spare_c: u32,
+    finds_pose: u32,
+    error_threshold: f32,
+    spare: u32,
 }
 @group(0) @binding(0) var<uniform> view: ViewBlock;
 

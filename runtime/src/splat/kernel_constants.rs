@@ -176,6 +176,9 @@ constants! {
     /// Sort key of what is not drawn: behind everything.
     NOT_VISIBLE: u32 = u32::MAX;
 
+    /// Words of an anchor's score: contributions, those where the picture is wrong, the radius.
+    SCORE_WORDS: u32 = 3;
+
     /// Kind of a target picture: three bytes per pixel.
     TARGET_RGB8: u32 = 0;
     /// Kind of a target picture: one byte per pixel.
@@ -194,10 +197,17 @@ constants! {
     SUM_GAIN: u32 = 4;
     /// Gradients of the exposure's biases.
     SUM_BIAS: u32 = 7;
-    /// Sum of the visible Gaussians' anisotropies; the only one that does not come from pixels.
-    SUM_ANISOTROPY: u32 = 10;
+    /// How the rays of all pixels would turn the sky: `ray x dL/dray`, three numbers, map axes; the last that comes from
+    /// pixels.
+    SUM_SKY_TURN: u32 = 10;
+    /// Sum of the visible Gaussians' anisotropies; the first that comes from candidates.
+    SUM_ANISOTROPY: u32 = 13;
+    /// Sum of their gradients with respect to the camera's pose, six numbers.
+    SUM_POSE: u32 = 14;
     /// Sums of a training view.
-    N_LOSS_SUMS: u32 = 11;
+    N_LOSS_SUMS: u32 = 20;
+    /// Those of them that come from candidates.
+    N_CANDIDATE_SUMS: u32 = N_LOSS_SUMS - SUM_ANISOTROPY;
 }
 
 /// One constant as WGSL.

@@ -128,12 +128,12 @@ kernels! {
     /// Gradients of blending, summed per splat.
     BlendBackward = "blend_backward", BLEND_GROUP, ["splat", "pair", "exponential", "hit", "bounds", "fixed"],
         [read splats, read tile_starts, read pairs, read planes, read upstream, read bounds, write splat_sums];
-    /// Gradients with respect to the numbers of every candidate.
+    /// Gradients with respect to the numbers of every candidate, and with respect to the camera's pose.
     SplattingBackward = "splatting_backward", GROUP,
-        ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed"],
+        ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed", "lod"],
         [read anchors, read keyframes, read candidates, read counters, read splats, read bounds, write splat_sums,
-         write effective, write anisotropy_sums];
-    /// Sums of the gradients of the decoder that learns, and the Adam step of the features.
+         write effective, write candidate_sums];
+    /// Sums of the gradients of the decoder that learns and of the camera's place, and the Adam step of the features.
     DecodeAnchorsBackward = "decode_anchors_backward", GROUP,
         ["counters", "anchor", "exponential", "group_scan", "scan", "seen", "adam"],
         [read anchors, read keyframes, read candidates, read counters, write features, read decoders, read effective,
@@ -141,6 +141,8 @@ kernels! {
     /// Spreads the gradients of the background over its texels.
     SpreadSky = "spread_sky", GROUP, ["bounds", "texel_fixed", "sky"],
         [read planes, read upstream, read bounds, write texel_sums];
+    /// How the rays of the pixels would turn the sky.
+    TurnSky = "turn_sky", GROUP, ["sky"], [read planes, read upstream, read texels, write loss_sums];
     /// Gradients of the texels.
     CollectSky = "collect_sky", GROUP, ["bounds", "texel_fixed"], [read bounds, write texel_sums, write texel_grads];
     /// Terms of the loss that look at one pixel, and where its gradients begin.
@@ -162,7 +164,14 @@ kernels! {
     ThroughExposure = "through_exposure", GROUP, [], [read planes, write upstream, write loss_sums];
     /// Sums of a training view.
     ReduceLoss = "reduce_loss", GROUP, ["counters"],
-        [read counters, read loss_sums, read anisotropy_sums, write loss_report];
+        [read counters, read loss_sums, read candidate_sums, write loss_report];
+    /// What each anchor contributes to the picture, and how much of that is wrong.
+    ScoreAnchors = "score_anchors", BLEND_GROUP, ["counters_atomic", "splat", "pair", "exponential", "hit"],
+        [read splats, read tile_starts, read pairs, read candidates, read exposed_planes, read target_planes,
+         write counters, write anchor_scores];
+    /// How large each anchor is on the picture.
+    MeasureAnchors = "measure_anchors", GROUP, ["counters", "splat"],
+        [read counters, read candidates, read splats, write anchor_scores];
     /// Adam step of the visible Gaussians' stored numbers.
     StepParams = "step_params", GROUP, ["counters", "splat", "adam"],
         [read counters, read candidates, read splats, read effective, write params, write param_first,

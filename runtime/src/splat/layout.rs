@@ -97,12 +97,12 @@ pub struct ViewBlock {
     pub output_opacity_rate: f32,
     /// The same for color logits.
     pub output_color_rate: f32,
+    /// 1 when the gradient of the camera's pose is wanted.
+    pub finds_pose: u32,
+    /// A pixel is wrong when the mean over its channels of the absolute difference is above this.
+    pub error_threshold: f32,
     /// Unused.
-    pub spare_a: u32,
-    /// Unused.
-    pub spare_b: u32,
-    /// Unused.
-    pub spare_c: u32,
+    pub spare: u32,
 }
 
 /// What of an anchor never changes by training, as kernels read it.
@@ -155,10 +155,10 @@ pub struct Counters {
     pub pairs_needed: u32,
     /// Pairs that were listed.
     pub pairs: u32,
+    /// Pixels where the picture is wrong.
+    pub masked_pixels: u32,
     /// Unused.
-    pub spare_a: u32,
-    /// Unused.
-    pub spare_b: u32,
+    pub spare: u32,
 }
 
 /// Workgroup counts that kernels find out, three words each.

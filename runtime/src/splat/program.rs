@@ -4,8 +4,8 @@
 //! opens and only evaluates workgroup counts per run. Every stage sees all writes of the stages before it.
 
 use super::kernel_constants::{
-    self as constants, DECODER_PIECES, DIGITS, FEATURE_LEN, GROUP, LOSS_PIECES, N_LOSS_SUMS, N_PARAMS, N_SPLAT_GRADS,
-    SORT_PIECES, TILE_GROUP, TILE_PX,
+    self as constants, DECODER_PIECES, DIGITS, FEATURE_LEN, GROUP, LOSS_PIECES, N_CANDIDATE_SUMS, N_LOSS_SUMS,
+    N_PARAMS, N_SPLAT_GRADS, SCORE_WORDS, SORT_PIECES, TILE_GROUP, TILE_PX,
 };
 use super::kernels::Kernel;
 use super::layout::{Counters, DeviceAnchor, IndirectGroups, KeyframeBlock, Splat, ViewBlock};
@@ -106,8 +106,8 @@ buffers! {
     Bounds = "splat.device.bounds", |_| 1, 16;
     /// Fixed-point sums of the splats' gradients, two limbs each; 0 between views.
     SplatSums = "splat.device.splat_sums", |s| 2 * s.candidates * N_SPLAT_GRADS as usize, 4;
-    /// Anisotropies added up by each workgroup of candidates.
-    AnisotropySums = "splat.device.anisotropy_sums", |s| s.candidates.div_ceil(GROUP as usize), 4;
+    /// Anisotropies and gradients of the camera's pose, added up by each workgroup of candidates.
+    CandidateSums = "splat.device.candidate_sums", |s| s.candidates.div_ceil(GROUP as usize) * N_CANDIDATE_SUMS as usize, 4;
     /// Fixed-point sums of the texels' gradients, two limbs each; 0 between views.
     TexelSums = "splat.device.texel_sums", |_| 2 * TEXEL_NUMBERS, 4;
     /// Gradients of the texels of the view's chunk row.
@@ -148,8 +148,11 @@ buffers! {
     DecoderFirst = "splat.device.decoder_first", |s| s.chunk_rows * s.decoder_len, 4;
     /// Running means of their squares.
     DecoderSecond = "splat.device.decoder_second", |s| s.chunk_rows * s.decoder_len, 4;
-    /// Gradients of the decoder that learns, summed over each piece of the candidates.
-    DecoderSums = "splat.device.decoder_sums", |s| DECODER_PIECES as usize * s.decoder_len, 4;
+    /// Gradients of the decoder that learns, summed over each piece of the candidates; then three numbers for each piece,
+    /// the gradient of the camera's place.
+    DecoderSums = "splat.device.decoder_sums", |s| DECODER_PIECES as usize * (s.decoder_len + 3), 4;
+    /// Scores of the anchors.
+    AnchorScores = "splat.device.anchor_scores", |s| s.slots * SCORE_WORDS as usize, 4;
 }
 
 /// Red, green, blue, depth, transmittance.
@@ -233,6 +236,10 @@ pub enum Part {
     Backward,
     /// From the picture and the target to [`Buffer::Upstream`].
     Compare,
+    /// From the gradients of the picture to how the camera's turning moves the sky.
+    TurnSky,
+    /// From the picture and what [`Part::Compare`] found to [`Buffer::AnchorScores`]. Reports the sums of the loss.
+    Score,
     /// The optimizer's step.
     Step,
     /// From the gradients in [`Buffer::Effective`] to those of the decoder that learns, and the step of features and
@@ -250,6 +257,8 @@ impl Part {
         Self::Blend,
         Self::Backward,
         Self::Compare,
+        Self::TurnSky,
+        Self::Score,
         Self::Step,
         Self::StepDecoder,
     ];
@@ -264,6 +273,8 @@ impl Part {
             Self::Blend => BLEND,
             Self::Backward => learn::BACKWARD,
             Self::Compare => learn::COMPARE,
+            Self::TurnSky => learn::TURN_SKY,
+            Self::Score => learn::SCORE,
             Self::Step => learn::STEP,
             Self::StepDecoder => learn::STEP_DECODER,
         }

@@ -28,8 +28,7 @@ pub struct ScoreReport {
     pub loss: LossTerms,
     /// Pixels where the picture is wrong.
     pub masked_pixels: u32,
-    /// Size of the work; `refused` when the view or a slice did not fit or, for now, on a device, and nothing was
-    /// written.
+    /// Size of the work; `refused` when the view or a slice did not fit, and nothing was written.
     pub stats: RenderStats,
 }
 

@@ -150,6 +150,12 @@ pub struct LearningRates {
 }
 
 impl LearningRates {
+    /// Whether nothing of a Gaussian or the background learns at `progress`; exposure and decoder have their own rules.
+    pub fn map_is_frozen(&self, progress: f32) -> bool {
+        let rates = [self.offset, self.log_scale, self.rotation, self.opacity, self.color, self.background];
+        rates.iter().all(|rate| rate.at(progress) <= 0.0)
+    }
+
     /// Rates for directly trained Gaussians. Offsets and scales are the peers' values for anchors (method.md 10);
     /// logits and quaternions follow Kerbl et al. 2023 with colors an order faster, because a driving camera
     /// sees a surface in tens of steps and not in tens of thousands.
@@ -268,7 +274,7 @@ pub struct StepReport {
     /// Size of the work; `refused` when the view or a slice did not fit, and nothing was changed.
     pub stats: RenderStats,
     /// Gradient of [`LossTerms::total`] with respect to the view's pose before the step, when
-    /// [`StepSettings::pose_gradient`] asks for it; devices do not find it yet.
+    /// [`StepSettings::pose_gradient`] asks for it.
     pub pose_gradient: Option<PoseGradient>,
 }
 

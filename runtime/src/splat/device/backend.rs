@@ -420,8 +420,13 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
         self.train(training, settings)
     }
 
-    fn score_view(&mut self, _: &TrainingView<'_>, _: f32, _: &mut [AnchorScore]) -> ScoreReport {
-        ScoreReport::refused()
+    fn score_view(
+        &mut self,
+        training: &TrainingView<'_>,
+        error_threshold: f32,
+        scores: &mut [AnchorScore],
+    ) -> ScoreReport {
+        self.score(training, error_threshold, scores)
     }
 
     fn stage_times(&self) -> StageTimes {

@@ -1,24 +1,22 @@
 //! A training step on a device: what is uploaded before it, and what is read after it.
 
-use super::backend::{DeviceBackend, refused};
+use super::backend::{DeviceBackend, Parts, refused};
 use super::error::DeviceError;
 use super::executor::Executor;
 use crate::splat::cpu::decode::group;
 use crate::splat::cpu::decoders::DecoderRule;
 use crate::splat::cpu::loss::ExposureGradient;
 use crate::splat::kernel_constants::{
-    NO_ROW, SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_SQUARE, SUM_SSIM, TARGET_GRAY8,
-    TARGET_RGB_F32, TARGET_RGB8,
+    DECODER_PIECES, NO_ROW, SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_POSE, SUM_SKY_TURN,
+    SUM_SQUARE, SUM_SSIM, TARGET_GRAY8, TARGET_RGB_F32, TARGET_RGB8,
 };
 use crate::splat::layout::{LossReport, ViewBlock};
 use crate::splat::program::{Buffer, Part};
 use crate::splat::{
-    DepthTarget, Exposure, LossTerms, RenderStats, StepReport, StepSettings, TargetImage, TrainingView,
+    DecoderShape, DepthTarget, Exposure, LossTerms, PoseGradient, RenderStats, StepReport, StepSettings, TargetImage,
+    TrainingView, View,
 };
 use zerocopy::IntoBytes;
-
-/// The parts of a training step that follow the picture.
-const LEARN: [Part; 4] = [Part::Compare, Part::Backward, Part::Step, Part::StepDecoder];
 
 impl<E: Executor> DeviceBackend<E> {
     /// Draws, compares and steps; refused when something does not fit or the device fails.
@@ -27,8 +25,7 @@ impl<E: Executor> DeviceBackend<E> {
         let background_rate = settings.rates.background.at(settings.progress);
         let step = self.background_steps.get(row).map_or(0, |steps| steps.saturating_add(1));
         let decoder = decoder_rule(settings);
-        let learn = if decoder.is_frozen() { &LEARN[..3] } else { &LEARN };
-        let taken = self.compare(training, settings, step, learn);
+        let taken = self.compare(training, settings, step, &parts_of_step(settings));
         let Some((mut report, gradient)) = taken else {
             return StepReport { stats: refused(), ..StepReport::default() };
         };
@@ -68,19 +65,43 @@ impl<E: Executor> DeviceBackend<E> {
             return None;
         }
         let stats = self.stats()?;
+        let found = self.loss_report()?;
+        let loss = loss_terms(&found, &block, &stats);
+        let pose_gradient =
+            if settings.pose_gradient { Some(self.pose_gradient(&training.view, &found)?) } else { None };
+        let exposure = exposure_gradient(&found, training.exposure_slot.is_some());
+        Some((StepReport { loss, stats, pose_gradient }, exposure))
+    }
+
+    /// The sums of the view that was compared last.
+    pub(super) fn loss_report(&self) -> Option<LossReport> {
         let mut found = LossReport::default();
         let read = self.device.call(|e| e.download(Buffer::LossReport, 0, found.as_mut_bytes()));
-        read.then(|| {
-            let loss = loss_terms(&found, &block, &stats);
-            (
-                StepReport { loss, stats, pose_gradient: None },
-                exposure_gradient(&found, training.exposure_slot.is_some()),
-            )
-        })
+        read.then_some(found)
+    }
+
+    /// Adds up what the Gaussians, the sky and the decoders say about the camera.
+    fn pose_gradient(&self, view: &View, found: &LossReport) -> Option<PoseGradient> {
+        let sums = |first: u32| [0, 1, 2].map(|i| f64::from(found.sums[first as usize + i]));
+        let mut shift = sums(SUM_POSE + 3);
+        if self.capacities.learned_decoder {
+            let mut pieces = [[0.0f32; 3]; DECODER_PIECES as usize];
+            let decoder_len = DecoderShape::new(self.capacities.gaussians_per_anchor).len();
+            let at = DECODER_PIECES as usize * decoder_len * size_of::<f32>();
+            if !self.device.call(|e| e.download(Buffer::DecoderSums, at, pieces.as_mut_bytes())) {
+                return None;
+            }
+            for piece in &pieces {
+                shift = [0, 1, 2].map(|i| shift[i] + f64::from(piece[i]));
+            }
+        }
+        let sky = view.camera_from_map.rotation * nalgebra::Vector3::from(sums(SUM_SKY_TURN));
+        let turn = nalgebra::Vector3::from(sums(SUM_POSE)) - sky;
+        Some([turn.x, turn.y, turn.z, shift[0], shift[1], shift[2]])
     }
 
     /// The uniform block of a training view.
-    fn training_block(&self, training: &TrainingView<'_>, settings: &StepSettings) -> ViewBlock {
+    pub(super) fn training_block(&self, training: &TrainingView<'_>, settings: &StepSettings) -> ViewBlock {
         let exposure = training.exposure_slot.and_then(|slot| self.exposures.get(slot)).unwrap_or(Exposure::IDENTITY);
         let per_channel = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
         let confidences = training.depth.map_or(0.0, |depth| {
@@ -109,6 +130,7 @@ impl<E: Executor> DeviceBackend<E> {
             opacity_rate: rate(&rates.opacity),
             color_rate: rate(&rates.color),
             background_rate: rate(&rates.background),
+            finds_pose: u32::from(settings.pose_gradient),
             ..self.decoder_block(&decoder_rule(settings), self.block(&training.view))
         }
     }
@@ -131,11 +153,27 @@ impl<E: Executor> DeviceBackend<E> {
     }
 }
 
+/// The parts of a training step that follow the picture; what does not learn is left out.
+fn parts_of_step(settings: &StepSettings) -> Parts {
+    let finds_pose = settings.pose_gradient;
+    let decoder_is_frozen = decoder_rule(settings).is_frozen();
+    [
+        (Part::Compare, true),
+        (Part::TurnSky, finds_pose),
+        (Part::Backward, true),
+        (Part::Step, !settings.rates.map_is_frozen(settings.progress)),
+        (Part::StepDecoder, !decoder_is_frozen || finds_pose),
+    ]
+    .into_iter()
+    .filter_map(|(part, is_run)| is_run.then_some(part))
+    .collect()
+}
+
 fn decoder_rule(settings: &StepSettings) -> DecoderRule {
     DecoderRule::at(&settings.rates.decoder, settings.decoder_row, settings.progress)
 }
 
-fn upload_target<E: Executor>(executor: &mut E, target: TargetImage<'_>) -> Result<(), DeviceError> {
+pub(super) fn upload_target<E: Executor>(executor: &mut E, target: TargetImage<'_>) -> Result<(), DeviceError> {
     let bytes = match target {
         TargetImage::Rgb8(bytes) | TargetImage::Gray8(bytes) => bytes,
         TargetImage::RgbF32(pixels) => pixels.as_bytes(),
@@ -157,7 +195,7 @@ fn upload_depth<E: Executor>(executor: &mut E, depth: DepthTarget<'_>) -> Result
     executor.upload(Buffer::TargetDepth, size_of_val(depth.depth_m), depth.confidence.as_bytes())
 }
 
-fn loss_terms(found: &LossReport, block: &ViewBlock, stats: &RenderStats) -> LossTerms {
+pub(super) fn loss_terms(found: &LossReport, block: &ViewBlock, stats: &RenderStats) -> LossTerms {
     let n_values = f64::from(3 * block.width * block.height);
     let mean = |i: u32, n: f64| (f64::from(found.sums[i as usize]) / n) as f32;
     let mut terms = LossTerms {

@@ -3,7 +3,7 @@
 use super::{Buffer as B, CANDIDATES, Extent, Stage, TEXEL_NUMBERS, stage};
 use crate::splat::DecoderShape;
 use crate::splat::capacity::MAX_GAUSSIANS_PER_ANCHOR;
-use crate::splat::kernel_constants::{DECODER_PIECES, GROUP, LOSS_PIECES};
+use crate::splat::kernel_constants::{DECODER_PIECES, GROUP, LOSS_PIECES, N_LOSS_SUMS};
 use crate::splat::kernels::Kernel;
 
 /// An invocation per piece of the pixels.
@@ -74,12 +74,41 @@ pub const BACKWARD: &[Stage] = &[
             B::Bounds,
             B::SplatSums,
             B::Effective,
-            B::AnisotropySums,
+            B::CandidateSums,
         ],
     ),
     stage(Kernel::SpreadSky, Extent::Pixels, &[B::Planes, B::Upstream, B::Bounds, B::TexelSums]),
     stage(Kernel::CollectSky, TEXEL_GROUPS, &[B::Bounds, B::TexelSums, B::TexelGrads]),
-    stage(Kernel::ReduceLoss, Extent::Groups(1), &[B::Counters, B::LossSums, B::AnisotropySums, B::LossReport]),
+    REDUCE_LOSS,
+];
+
+const REDUCE_LOSS: Stage = stage(
+    Kernel::ReduceLoss,
+    Extent::Groups(N_LOSS_SUMS),
+    &[B::Counters, B::LossSums, B::CandidateSums, B::LossReport],
+);
+
+/// From the gradients of the picture to how the camera's turning moves the sky; before [`BACKWARD`] adds up the sums.
+pub const TURN_SKY: &[Stage] = &[stage(Kernel::TurnSky, PIECES, &[B::Planes, B::Upstream, B::Texels, B::LossSums])];
+
+/// Scores of the anchors.
+pub const SCORE: &[Stage] = &[
+    stage(
+        Kernel::ScoreAnchors,
+        Extent::Blocks,
+        &[
+            B::Splats,
+            B::TileStarts,
+            B::Pairs,
+            B::Candidates,
+            B::ExposedPlanes,
+            B::TargetPlanes,
+            B::Counters,
+            B::AnchorScores,
+        ],
+    ),
+    stage(Kernel::MeasureAnchors, CANDIDATES, &[B::Counters, B::Candidates, B::Splats, B::AnchorScores]),
+    REDUCE_LOSS,
 ];
 
 /// The optimizer's step.

@@ -102,67 +102,68 @@ fn the_comparer_of_scores_can_fail() {
     assert!(changed(&|s| s.truncate(3)).is_err() && compare_scores(&[], &[]).is_err());
 }
 
-/// One Gaussian that is smaller than a pixel, so that the low-pass filter is all of its size, in front of the centre of
-/// pixel (8, 8).
-fn dot(z_m: f32, opacity: f32, color_logit: f32) -> (AnchorHeader, GaussianParams) {
+/// Gaussians that are smaller than a pixel, so that the low-pass filter is all of their size, in front of the centre of
+/// pixel (8, 8): at which distance, and how opaque.
+fn write_dots(backend: &mut dyn SplatBackend, slot: u32, gaussians: &[(f32, f32)]) {
+    const EXTENT_M: f32 = 1e-5;
     let header = AnchorHeader {
-        position_in_keyframe_m: [0.0, 0.0, z_m],
+        position_in_keyframe_m: [0.0; 3],
         keyframe_row: 0,
-        log_extent: [-12.0; 3],
+        log_extent: [EXTENT_M.ln(); 3],
         level: 0,
-        n_gaussians: 1,
+        n_gaussians: gaussians.len() as u8,
         chunk_row: 0,
     };
-    let params = GaussianParams {
-        offset: [0.0; 3],
+    let params = |&(z_m, opacity): &(f32, f32)| GaussianParams {
+        offset: [0.0, 0.0, z_m / EXTENT_M],
         log_scale: [0.0; 3],
         quaternion_xyzw: [0.0, 0.0, 0.0, 1.0],
         opacity_logit: (opacity / (1.0 - opacity)).ln(),
-        color_logit: [color_logit; 3],
+        color_logit: [0.0; 3],
     };
-    (header, params)
+    let own = [params(&gaussians[0]), params(gaussians.last().expect("one or two"))];
+    assert_eq!(backend.write_anchors(&[slot], &[header], &own), 0);
 }
 
-/// Backends of two Gaussians per anchor, of which `anchors` says distance and opacity.
-pub fn check_dots(open: &mut dyn FnMut(Capacities) -> Box<dyn SplatBackend>) {
+/// Capacities for [`check_dots`].
+pub fn dot_capacities() -> Capacities {
+    Capacities { pairs: 64, ..Capacities::for_map(2, 2, 17, 17) }
+}
+
+/// Hand-sized cases: distance and opacity of the Gaussians of up to two anchors, the column from which on the picture is
+/// wrong, and what both anchors score.
+pub fn check_dots(who: &str, backend: &mut dyn SplatBackend) {
     let mut view = view(17, 17);
     (view.camera.cx, view.camera.cy) = (8.5, 8.5);
-    let mut check = |what: &str, anchors: &[&[(f32, f32)]], wrong_from_column: usize, expected: &[(u32, u32)]| {
-        let mut backend = open(Capacities { pairs: 64, ..Capacities::for_map(anchors.len(), 2, 17, 17) });
+    let mut check = |what: &str, anchors: &[&[(f32, f32)]], wrong_from_column: usize, expected: [(u32, u32); 2]| {
+        assert_eq!(backend.retire_anchors(&[0, 1]), 0);
         for (slot, gaussians) in anchors.iter().enumerate() {
-            let (mut header, mut params) = dot(gaussians[0].0, gaussians[0].1, 0.0);
-            header.n_gaussians = gaussians.len() as u8;
-            let mut own = vec![params; 2];
-            if let Some(&(z_m, opacity)) = gaussians.get(1) {
-                params = dot(z_m, opacity, 0.0).1;
-                own[1] = params;
-            }
-            assert_eq!(backend.write_anchors(&[slot as u32], &[header], &own), 0);
+            write_dots(backend, slot as u32, gaussians);
         }
         // Gaussians and sky are the same grey.
         let target: Vec<u8> = (0..17 * 17).map(|i| if i % 17 >= wrong_from_column { 255 } else { 128 }).collect();
         let training = TrainingView { view, target: TargetImage::Gray8(&target), depth: None, exposure_slot: None };
-        let (scores, report) = score(backend.as_mut(), &training);
+        let (scores, report) = score(backend, &training);
         let got: Vec<(u32, u32)> = scores.iter().map(|s| (s.covered, s.masked)).collect();
-        assert_eq!(got, expected, "{what}");
-        assert_eq!(report.masked_pixels as usize, 17 * (17 - wrong_from_column), "{what}");
+        assert_eq!(got, expected, "{what} with {who}");
+        assert_eq!(report.masked_pixels as usize, 17 * (17 - wrong_from_column), "{what} with {who}");
     };
     // alpha >= 1/255 where r^2 <= 2 * 0.3 px^2 * ln(255 opacity): 1.53, 2.91 and 3.32 px^2.
-    check("a faint dot", &[&[(2.0, 0.05)]], 17, &[(5, 0)]);
-    check("a dot", &[&[(2.0, 0.5)]], 17, &[(9, 0)]);
-    check("a dot of which the right third is wrong", &[&[(2.0, 0.5)]], 9, &[(9, 3)]);
-    check("a dot that is all wrong", &[&[(2.0, 0.5)]], 0, &[(9, 9)]);
-    check("Gaussians of one anchor count on their own", &[&[(2.0, 0.05), (2.0, 0.05)]], 8, &[(10, 8)]);
-    // What is behind is seen through 0.2 in the middle, where its alpha is 0.01, and through 1 - 0.8 * 0.189 and
-    // 1 - 0.8 * 0.036 around it, where it is too faint.
-    check("a dot behind another one", &[&[(3.0, 0.01)], &[(2.0, 0.8)]], 17, &[(0, 0), (9, 0)]);
-    check("a dot in front of another one", &[&[(1.0, 0.01)], &[(2.0, 0.8)]], 17, &[(1, 0), (9, 0)]);
-    check("nothing in view", &[&[(-2.0, 0.5)]], 9, &[(0, 0)]);
+    check("a faint dot", &[&[(2.0, 0.05)]], 17, [(5, 0), (0, 0)]);
+    check("a dot", &[&[(2.0, 0.5)]], 17, [(9, 0), (0, 0)]);
+    check("a dot of which the right third is wrong", &[&[(2.0, 0.5)]], 9, [(9, 3), (0, 0)]);
+    check("a dot that is all wrong", &[&[(2.0, 0.5)]], 0, [(9, 9), (0, 0)]);
+    check("Gaussians of one anchor count on their own", &[&[(2.0, 0.05), (2.0, 0.05)]], 8, [(10, 8), (0, 0)]);
+    // What is behind has an alpha of 0.01 in the middle, where it is seen through 0.2, and of 0.0019 around it.
+    check("a dot behind another one", &[&[(3.0, 0.01)], &[(2.0, 0.8)]], 17, [(0, 0), (9, 0)]);
+    check("a dot in front of another one", &[&[(1.0, 0.01)], &[(2.0, 0.8)]], 17, [(1, 0), (9, 0)]);
+    check("a dot behind the camera", &[&[(-2.0, 0.5)]], 9, [(0, 0), (0, 0)]);
 }
 
 #[test]
 fn dots_cover_the_pixels_that_they_must() {
-    check_dots(&mut |capacities| Box::new(CpuBackend::new(capacities, 1, SimdLevel::best(), |_| ()).expect("backend")));
+    let backend = CpuBackend::new(dot_capacities(), 1, SimdLevel::best(), |_| ());
+    check_dots("cpu", &mut backend.expect("backend"));
 }
 
 #[test]

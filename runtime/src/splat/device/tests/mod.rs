@@ -4,6 +4,7 @@ mod devices;
 mod fallback;
 mod gradients;
 mod kernels;
+mod outputs;
 mod pictures;
 mod table;
 mod training;

@@ -150,9 +150,9 @@ fn structs_agree_member_by_member() {
         output_rotation_rate,
         output_opacity_rate,
         output_color_rate,
-        spare_a,
-        spare_b,
-        spare_c,
+        finds_pose,
+        error_threshold,
+        spare,
     });
     check_layout!(DeviceAnchor {
         position_x,
@@ -172,8 +172,8 @@ fn structs_agree_member_by_member() {
         entries_needed,
         pairs_needed,
         pairs,
-        spare_a,
-        spare_b,
+        masked_pixels,
+        spare,
     });
     check_layout!(Splat {
         mean_x,
