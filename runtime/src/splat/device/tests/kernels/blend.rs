@@ -10,7 +10,7 @@ pub fn cases() -> Vec<Case> {
 }
 
 /// The same opacity everywhere.
-fn flat(log2_opacity: f32, color: [f32; 3], depth_m: f32) -> Splat {
+pub fn flat(log2_opacity: f32, color: [f32; 3], depth_m: f32) -> Splat {
     let [red, green, blue] = color;
     Splat { log2_opacity, red, green, blue, depth_m, ..Splat::default() }
 }

@@ -42,6 +42,9 @@ fn weights() -> Vec<Word> {
         (w1(0, 0), 2.0),
         (w1(INPUTS, 0), -1.0),
         (w1(AHEAD, 1), 0.5),
+        // Directions to the side and logarithms of the distance are 0, but for their gradients.
+        (w1(FEATURE_LEN, 1), 8.0),
+        (w1(FEATURE_LEN + 3, 0), 6.0),
         (w1(INPUTS, 2), -1.0),
         (w2(0, 3), 0.25),
         (w2(1, 11), 4.0),
@@ -117,17 +120,21 @@ fn decode_anchors_backward() -> Case {
         (w2(HIDDEN, 3), 2.0),
         (w2(HIDDEN, 11), 0.5),
     ];
+    // The first input of the direction has a gradient of 8 2, that of the logarithm 6 0.5; per m, 16 m away, the
+    // direction changes by 1/16 and the logarithm by 1 / (3 ln 2) / 16. Other pieces are empty.
+    let mut camera = [0.0; 3 * DECODER_PIECES as usize];
+    (camera[0], camera[2]) = (1.0, 0.090_168_44);
     // The feature's gradient is 2 0.5; its first step is the rate.
     let moments = |first: f32, second: f32, steps: f32| [feature(first), feature(second), reals([steps])].concat();
     Case {
         kernel: Kernel::DecodeAnchorsBackward,
         nth_stage: 0,
-        view: view(),
+        view: ViewBlock { finds_pose: 1, ..view() },
         before: [before(gradients), vec![(Buffer::FeatureMoments, moments(0.0, 0.0, 0.0))]].concat(),
         after: vec![
             (Buffer::Features, feature(1.4)),
             (Buffer::FeatureMoments, moments(0.1, 0.001, 1.0)),
-            (Buffer::DecoderSums, numbers(DECODER_PIECES as usize, &sums)),
+            (Buffer::DecoderSums, [numbers(DECODER_PIECES as usize, &sums), reals(camera)].concat()),
         ],
         mutation: ["hidden[a * HIDDEN_ROW + unit] * output_grad", "hidden[a * HIDDEN_ROW + unit] + output_grad"],
     }

@@ -1,7 +1,10 @@
 //! Terms of the loss that look at one pixel, and the sums.
 
 use super::{Case, SENTINEL, Word, counters, exact, picture, reals, words_of};
-use crate::splat::kernel_constants::{LOSS_PIECES, SUM_ABSOLUTE, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_SQUARE, SUM_SSIM};
+use crate::splat::kernel_constants::{
+    LOSS_PIECES, N_LOSS_SUMS, SUM_ABSOLUTE, SUM_ANISOTROPY, SUM_BIAS, SUM_DEPTH, SUM_GAIN, SUM_POSE, SUM_SQUARE,
+    SUM_SSIM,
+};
 use crate::splat::kernels::Kernel;
 use crate::splat::layout::ViewBlock;
 use crate::splat::program::Buffer;
@@ -81,6 +84,10 @@ fn through_exposure() -> Case {
 
 fn reduce_loss() -> Case {
     let given = [(SUM_ABSOLUTE, 3, 1.5), (SUM_ABSOLUTE, 300, 2.0), (SUM_BIAS, LOSS_PIECES - 1, -4.0)];
+    let mut report = [0.0; N_LOSS_SUMS as usize];
+    for (sum, value) in [(SUM_ABSOLUTE, 3.5), (SUM_BIAS, -4.0), (SUM_ANISOTROPY, 3.5), (SUM_POSE + 5, 0.75)] {
+        report[sum as usize] = value;
+    }
     Case {
         kernel: Kernel::ReduceLoss,
         nth_stage: 0,
@@ -88,10 +95,10 @@ fn reduce_loss() -> Case {
         before: vec![
             // Two workgroups of candidates.
             (Buffer::Counters, words_of(&[counters(300)])),
-            (Buffer::LossSums, piece_sums(10, Word::U(0), &given)),
-            (Buffer::AnisotropySums, reals([1.0, 2.5])),
+            (Buffer::LossSums, piece_sums(SUM_ANISOTROPY, Word::U(0), &given)),
+            (Buffer::CandidateSums, reals([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 2.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25])),
         ],
-        after: vec![(Buffer::LossReport, reals([3.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -4.0, 0.0, 0.0, 3.5]))],
-        mutation: ["total += loss_sums", "total -= loss_sums"],
+        after: vec![(Buffer::LossReport, reals(report))],
+        mutation: ["part += loss_sums", "part -= loss_sums"],
     }
 }

@@ -11,6 +11,7 @@ mod decoder;
 mod loss;
 mod optimizer;
 mod project;
+mod score;
 mod sky;
 mod sort;
 mod ssim;
@@ -46,6 +47,7 @@ fn cases() -> Vec<Case> {
         blend::cases(),
         sky::cases(),
         loss::cases(),
+        score::cases(),
         ssim::cases(),
         backward::cases(),
         optimizer::cases(),

@@ -1,13 +1,14 @@
 //! The background and its gradient.
 
-use super::{Case, Word, exact, picture, reals};
-use crate::splat::kernel_constants::{BACKGROUND_COLUMNS, TEXEL_NUMBERS};
+use super::loss::piece_sums;
+use super::{Case, SENTINEL, Word, exact, picture, reals};
+use crate::splat::kernel_constants::{BACKGROUND_COLUMNS, SUM_SKY_TURN, TEXEL_NUMBERS};
 use crate::splat::kernels::Kernel;
 use crate::splat::layout::ViewBlock;
 use crate::splat::program::Buffer;
 
 pub fn cases() -> Vec<Case> {
-    vec![compose_sky(), spread_sky(), collect_sky()]
+    vec![compose_sky(), spread_sky(), turn_sky(), collect_sky()]
 }
 
 /// One pixel that looks along the map's forward axis: halfway between the last and the first column, and at row
@@ -23,18 +24,22 @@ fn at(column: u32, row: u32, channel: u32) -> usize {
 
 const LAST: u32 = BACKGROUND_COLUMNS - 1;
 
-fn compose_sky() -> Case {
+/// The table of the second chunk row has a few colors.
+fn texels() -> Vec<f32> {
     let table = TEXEL_NUMBERS as usize;
     let mut texels = vec![0.0; 2 * table];
-    // The table of the second chunk row.
     for (at, value) in [(at(LAST, 5, 0), 1.0), (at(0, 6, 0), 0.5), (at(0, 5, 1), 1.0), (at(LAST, 6, 2), 1.0)] {
         texels[table + at] = value;
     }
+    texels
+}
+
+fn compose_sky() -> Case {
     Case {
         kernel: Kernel::ComposeSky,
         nth_stage: 0,
         view: ViewBlock { first_texel: TEXEL_NUMBERS / 3, ..forward() },
-        before: vec![(Buffer::Texels, reals(texels)), (Buffer::Planes, reals([0.1, 0.2, 0.3, 7.0, 0.5]))],
+        before: vec![(Buffer::Texels, reals(texels())), (Buffer::Planes, reals([0.1, 0.2, 0.3, 7.0, 0.5]))],
         // Half of the background shows: 0.05 + 0.45 0.5, 0.05, 0.45.
         after: vec![(Buffer::Planes, reals([0.2375, 0.225, 0.525, 7.0, 0.5]))],
         mutation: ["planes[channel * n + at] += sum", "planes[channel * n + at] -= sum"],
@@ -61,6 +66,25 @@ fn spread_sky() -> Case {
         ],
         after: vec![(Buffer::TexelSums, sums)],
         mutation: ["weight[i] * grad", "weight[i] + grad"],
+    }
+}
+
+fn turn_sky() -> Case {
+    // Half of the background shows: gradients 1, -1, 0.5, so that the texels count 1, -1 above and 0.5, 0.5 below. Per
+    // column that is 0.1 -2, per row half of -0.5 and of 1.5; a radian has 128 / tau columns and 32 / 75 degrees rows.
+    let mut sums = piece_sums(SUM_SKY_TURN, Word::U(SENTINEL), &[]);
+    sums.extend(piece_sums(3, Word::U(0), &[(0, 0, 12.223_1), (1, 0, -4.074_366_5), (2, 0, 0.0)]));
+    Case {
+        kernel: Kernel::TurnSky,
+        nth_stage: 0,
+        view: ViewBlock { first_texel: TEXEL_NUMBERS / 3, ..forward() },
+        before: vec![
+            (Buffer::Planes, reals([0.0, 0.0, 0.0, 0.0, 0.5])),
+            (Buffer::Upstream, reals([2.0, -2.0, 1.0, 0.0, 0.0])),
+            (Buffer::Texels, reals(texels())),
+        ],
+        after: vec![(Buffer::LossSums, sums)],
+        mutation: ["let by_azimuth = per_column", "let by_azimuth = -per_column"],
     }
 }
 
