@@ -159,6 +159,10 @@ impl Compute {
         match opened {
             Ok(backend) => Ok(backend),
             Err(error) if self.is_explicit => Err(run_error(&error, &plan.capacities)),
+            Err(error) if !plan.has_substitute => Err(match run_error(&error, &plan.capacities) {
+                RunError::Device(text) => RunError::Device(format!("{text}. The CPU cannot compute: {NO_SUBSTITUTE}")),
+                of_a_row => of_a_row,
+            }),
             Err(error) => {
                 log::warn!("{error}. The CPU computes");
                 self.state.has_fallen_back.store(true, Relaxed);
@@ -185,16 +189,14 @@ impl Compute {
         self.state.arena_bytes.fetch_max(arena_bytes, Relaxed);
         let backend = DeviceBackend::new(plan.capacities, executor)?;
         let plan = *plan;
-        let substitute: MakeSubstitute = Box::new(move || {
-            if plan.has_substitute {
-                cpu_backend(&plan)
-            } else {
-                Err("the budget keeps no room for it: write where = \"both\" for [map.anchors]".to_owned())
-            }
-        });
+        let substitute: MakeSubstitute =
+            Box::new(move || if plan.has_substitute { cpu_backend(&plan) } else { Err(NO_SUBSTITUTE.to_owned()) });
         Ok(Box::new(FallbackBackend::new(backend, substitute, Arc::clone(&self.state.has_fallen_back))))
     }
 }
+
+/// Why the CPU backend does not take over.
+const NO_SUBSTITUTE: &str = "the budget keeps no room for it: write where = \"both\" for [map.anchors]";
 
 /// A row that is too large is the budget's fault, everything else the device's.
 fn run_error(error: &DeviceError, capacities: &Capacities) -> RunError {
@@ -256,6 +258,31 @@ mod tests {
         }
         let missing = Compute::choose(BackendChoice::Vulkan, Some(999)).map_err(|e| e.code());
         assert_eq!(missing.err(), Some(4));
+    }
+
+    #[test]
+    fn a_device_that_auto_found_is_replaced_only_where_the_budget_pays_for_it() {
+        let device = match VulkanDevice::open(DeviceRequest::Any) {
+            Ok(device) => Arc::new(device),
+            Err(error) => {
+                println!("left out: no Vulkan device ({error})");
+                return;
+            }
+        };
+        for (is_explicit, has_substitute, expected) in
+            [(false, true, Ok("cpu")), (false, false, Err(2)), (true, true, Err(2)), (true, false, Err(2))]
+        {
+            let compute = Compute { api: Api::Vulkan(Arc::clone(&device)), is_explicit, state: Arc::default() };
+            let plan = BackendPlan {
+                capacities: Capacities::for_map(64, 2, 32, 16),
+                arena_cap_bytes: 1,
+                has_substitute,
+                n_threads: 1,
+                simd: SimdLevel::best(),
+            };
+            let opened = compute.open(&plan).map(|_| compute.kind()).map_err(|error| error.code());
+            assert_eq!(opened, expected, "asked for: {is_explicit}, room for the CPU: {has_substitute}");
+        }
     }
 
     #[test]

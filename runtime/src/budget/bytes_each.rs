@@ -146,7 +146,7 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
 
 /// The splat backends' own plans.
 struct SplatSizes {
-    cpu: [MemoryRow; 9],
+    cpu: [MemoryRow; 10],
     copy: [MemoryRow; 4],
     capacities: Capacities,
 }
@@ -193,7 +193,7 @@ fn splat_rows(row: Row) -> &'static [&'static str] {
         Row::SplatVisibleGaussians => &["splat.visible_gaussians"],
         Row::SplatRowEntries => &["splat.row_entries"],
         Row::SplatPairs => &["splat.pairs"],
-        Row::SplatViews => &["splat.image_pixels", "splat.training_pixels"],
+        Row::SplatViews => &["splat.image_pixels", "splat.training_pixels", "splat.chunk_gradients"],
         _ => &[],
     }
 }

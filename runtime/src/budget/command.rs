@@ -3,6 +3,8 @@
 use super::{Budget, MappingPlan, Plan, PlanInput};
 use crate::compute::{BackendChoice, Compute};
 use crate::run_error::RunError;
+use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 /// Options of `kilogs budget`.
@@ -56,13 +58,18 @@ impl PlanCameraArgs {
     }
 }
 
+/// Sides that an image can have, px.
+const SIDES_PX: RangeInclusive<u32> = 16..=MAX_IMAGE_SIDE_PX;
+
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
     let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse::<u32>().ok()?, h.parse::<u32>().ok()?)));
     match sides {
-        Some((width, height)) if (16..=16_384).contains(&width) && (16..=16_384).contains(&height) => {
-            Ok((width, height))
-        }
-        _ => Err("write width and height in pixels, 16 to 16384 each, such as 1241x376".to_owned()),
+        Some((width, height)) if SIDES_PX.contains(&width) && SIDES_PX.contains(&height) => Ok((width, height)),
+        _ => Err(format!(
+            "write width and height in pixels, {} to {} each, such as 1241x376",
+            SIDES_PX.start(),
+            SIDES_PX.end()
+        )),
     }
 }
 
@@ -86,7 +93,7 @@ mod tests {
     #[test]
     fn sizes_are_two_sane_numbers() {
         assert_eq!(parse_size("1241x376"), Ok((1241, 376)));
-        for wrong in ["", "1241", "1241x", "x376", "0x376", "99999x3", "-5x20", "12.5x20"] {
+        for wrong in ["", "1241", "1241x", "x376", "0x376", "99999x3", "4097x100", "-5x20", "12.5x20"] {
             assert!(parse_size(wrong).is_err(), "{wrong}");
         }
     }

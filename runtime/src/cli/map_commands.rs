@@ -1,6 +1,6 @@
 //! `kilogs render` and `kilogs export`: commands on a stored map.
 
-use crate::budget::{Budget, Row};
+use crate::budget::{Budget, ComputeMemory, HumanBytes, MappingPlan, PlanInput, Row};
 use crate::export::{self, ExportArgs};
 use crate::map_store::MapStoreReader;
 use crate::render_views::command::{self, RenderArgs};
@@ -37,7 +37,9 @@ pub fn render(command: &RenderCommand) -> Result<(), RunError> {
     let budget = Budget::load(command.budget.as_deref())?;
     let map = command::open(&command.args, budget.capacity(Row::StoreKeyframeTable))?;
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let backend = CpuBackend::new(capacities(&budget, &map), threads, SimdLevel::best(), |_| ());
+    let capacities = capacities(&budget, &map);
+    check_memory(&budget, &capacities)?;
+    let backend = CpuBackend::new(capacities, threads, SimdLevel::best(), |_| ());
     let mut backend = backend.map_err(|e| RunError::Device(e.to_string()))?;
     let n_views = command::run(&command.args, &map, &mut backend)?;
     log::info!("{n_views} views rendered to {}", command.args.out.display());
@@ -55,16 +57,57 @@ pub fn export(command: &ExportCommand) -> Result<(), RunError> {
     Ok(())
 }
 
+/// What the budget grants, for the map's own Gaussians and pictures.
 fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
-    let camera = map.manifest().camera;
-    let anchors = budget.capacity(Row::MapAnchors);
-    let gaussians = map.manifest().gaussians_per_anchor as usize;
+    let manifest = map.manifest();
+    let input = PlanInput {
+        width: manifest.camera.width,
+        height: manifest.camera.height,
+        frame_bytes: 0,
+        color_channels: 3,
+        mapping: MappingPlan { resolution: 1.0, window: 1, learned_decoder: map.has_learned_decoder() },
+        compute: ComputeMemory::Cpu,
+    };
     Capacities {
-        keyframe_rows: budget.capacity(Row::MapKeyframes),
-        chunk_rows: budget.capacity(Row::MapChunks),
+        gaussians_per_anchor: manifest.gaussians_per_anchor as usize,
         // Nothing is trained here.
         training_pixels: 1,
-        learned_decoder: map.has_learned_decoder(),
-        ..Capacities::for_map(anchors, gaussians, camera.width, camera.height)
+        exposure_slots: 1,
+        ..budget.splat_capacities(&input)
+    }
+}
+
+/// Drawing takes only the backend's part of a plan: it has to fit the whole cap.
+fn check_memory(budget: &Budget, capacities: &Capacities) -> Result<(), RunError> {
+    let needed =
+        CpuBackend::memory_plan(capacities).iter().fold(0, |sum: u64, row| sum.saturating_add(row.bytes() as u64));
+    if needed <= budget.host_bytes() {
+        return Ok(());
+    }
+    Err(RunError::Usage(format!(
+        "drawing the map: its pictures and the lists of {} take {}, [total] host_bytes is {}; lower [map.anchors] and \
+         [splat.*], or raise host_bytes",
+        budget.file(),
+        HumanBytes(needed),
+        HumanBytes(budget.host_bytes())
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::PROFILES;
+
+    #[test]
+    fn lists_that_take_more_than_the_cap_are_refused() {
+        let check = |host_bytes: &str, code: Option<u8>| {
+            let text = PROFILES[0].1.replace("host_bytes = \"512 MiB\"", &format!("host_bytes = \"{host_bytes}\""));
+            let budget = Budget::parse(&text, "my.toml").expect("a possible budget");
+            let capacities = Capacities::for_map(131_072, 2, 1241, 376);
+            let verdict = check_memory(&budget, &capacities);
+            assert_eq!(verdict.as_ref().map_err(RunError::code).err(), code, "{host_bytes}: {verdict:?}");
+        };
+        check("512 MiB", None);
+        check("16 MiB", Some(2));
     }
 }

@@ -142,6 +142,9 @@ impl Scene {
     }
 }
 
+/// What to do about a pose that is none.
+pub(super) const MEND_POSE: &str = "correct the pose, or leave the image out";
+
 /// Largest entry of `R^T R - I`: files carry about seven digits; what is further off is no rotation.
 const MAX_ROTATION_ERROR: f64 = 1e-2;
 
@@ -151,12 +154,12 @@ const MAX_ROTATION_ERROR: f64 = 1e-2;
 /// What is wrong with it, in words.
 pub(super) fn rotation_of(written: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
     if written.iter().any(|value| !value.is_finite()) {
-        return Err("holds a number that is not finite".to_owned());
+        return Err(format!("holds a number that is not finite; {MEND_POSE}"));
     }
     let error = (written.transpose() * written - Matrix3::identity()).abs().max();
     if error > MAX_ROTATION_ERROR || written.determinant() <= 0.0 {
         return Err(format!(
-            "does not hold a rotation (R^T R differs from 1 by {error:.2e}, determinant {:.3})",
+            "does not hold a rotation (R^T R differs from 1 by {error:.2e}, determinant {:.3}); {MEND_POSE}",
             written.determinant()
         ));
     }

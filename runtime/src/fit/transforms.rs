@@ -1,7 +1,7 @@
 //! nerfstudio's `transforms.json`: a pinhole camera, images with OpenGL poses, and points where it names some.
 
 use super::points;
-use super::scene::{MADE_UP_INTERVAL_NS, PosedView, Scene, SceneError, rotation_of};
+use super::scene::{MADE_UP_INTERVAL_NS, MEND_POSE, PosedView, Scene, SceneError, rotation_of};
 use kilogs_camera::source::ImageList;
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
@@ -56,7 +56,8 @@ const CAMERA_MODELS: [&str; 4] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPE
 /// [`SceneError`] names the file, and the image where one is wrong.
 pub(super) fn open(path: &Path, frames: Option<usize>) -> Result<Scene, SceneError> {
     let wrong = |reason: String| SceneError::file(path, reason);
-    let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|e| wrong(format!("{e}; give a transforms.json that can be read")))?;
     let mut typed: TypedScene = serde_json::from_str(&text)
         .map_err(|e| wrong(format!("{e}; expected nerfstudio's transforms.json with fl_x, fl_y, cx, cy and frames")))?;
     if typed.frames.is_empty() {
@@ -143,13 +144,15 @@ impl TypedCamera {
         }
         let from_angle = self.camera_angle_x.map(|angle_rad| 0.5 * f64::from(width) / (0.5 * angle_rad).tan());
         let Some(fx) = self.fl_x.or(from_angle) else {
-            return Err("there is neither fl_x nor camera_angle_x".to_owned());
+            return Err("there is neither fl_x nor camera_angle_x; add fl_x, the focal length in px".to_owned());
         };
         let fy = self.fl_y.unwrap_or(fx);
         let (cx, cy) = (self.cx.unwrap_or(0.5 * f64::from(width)), self.cy.unwrap_or(0.5 * f64::from(height)));
         let is_inside = (0.0..=f64::from(width)).contains(&cx) && (0.0..=f64::from(height)).contains(&cy);
         if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0 && is_inside) {
-            return Err(format!("fl_x {fx}, fl_y {fy}, cx {cx}, cy {cy} are no camera of {width}x{height} px"));
+            return Err(format!(
+                "fl_x {fx}, fl_y {fy}, cx {cx}, cy {cy} are no camera of {width}x{height} px; correct them"
+            ));
         }
         Ok(Pinhole { width, height, fx, fy, cx, cy })
     }
@@ -159,13 +162,13 @@ impl TypedCamera {
 fn pose(frame: &TypedFrame) -> Result<Rigid, String> {
     let rows = &frame.transform_matrix;
     if !(rows.len() == 4 || rows.len() == 3) || rows.iter().any(|row| row.len() != 4) {
-        return Err("is not 4x4".to_owned());
+        return Err("is not 4x4; write four rows of four numbers".to_owned());
     }
     let at = |row: usize, column: usize| rows[row][column];
     let rotation = rotation_of(&Matrix3::from_fn(at))?;
     let translation = Vector3::from_fn(|row, _| at(row, 3));
     if translation.iter().any(|value| !value.is_finite()) {
-        return Err("holds a number that is not finite".to_owned());
+        return Err(format!("holds a number that is not finite; {MEND_POSE}"));
     }
     let gl_from_ours = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     Ok(Rigid::from_parts(Translation3::from(translation), rotation * gl_from_ours))

@@ -71,8 +71,14 @@ impl Worker {
         queue: &Queue,
     ) -> Result<(), StoreError> {
         let path = layout::image_path(&self.folder, keyframe.frame_index);
-        jpeg::encode(pixels, self.image_size, self.pixel_format, self.jpeg_quality, &mut self.jpeg)
-            .map_err(|e| StoreError::Image { path: path.clone(), reason: e.to_string() })?;
+        jpeg::encode(pixels, self.image_size, self.pixel_format, self.jpeg_quality, &mut self.jpeg).map_err(|e| {
+            StoreError::Write {
+                action: "encoding",
+                path: path.clone(),
+                hint: "no JPEG can hold this camera's pixels: check their size and format",
+                source: std::io::Error::other(e),
+            }
+        })?;
         let old_bytes = file_bytes(&path);
         std::fs::write(&path, &self.jpeg).map_err(|e| StoreError::write("writing", &path, e))?;
         queue.count_bytes(self.jpeg.len() as u64, old_bytes);

@@ -149,11 +149,6 @@ impl MapStoreWriter {
         Ok(Self { queue, thread: Some(thread), folder, manifest, when_busy: settings.when_busy, row_bytes })
     }
 
-    /// Folder of the map, for reading back pages that were [flushed](Self::flush).
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
     /// Bytes of all files of the store so far.
     pub fn bytes_on_disk(&self) -> u64 {
         self.queue.bytes_on_disk()

@@ -8,6 +8,7 @@ use crate::input::ServiceFormat;
 use crate::run_error::RunError;
 use crate::settings::Settings;
 use crate::splat::cpu::SimdLevel;
+use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
 use kilogs_camera::source::{PixelFormat, SourceFormat};
 use kilogs_core::camera::{Mounting, Pinhole};
 use std::path::{Path, PathBuf};
@@ -108,6 +109,9 @@ impl RunPlan {
         out: &Path,
         (settings, budget, training_resolution): (Settings, Budget, f64),
     ) -> Result<Self, RunError> {
+        if settings.mapping.enabled {
+            check_image_size(&format.camera)?;
+        }
         let simd = args.simd()?;
         let compute = args.compute()?;
         let learned_decoder = settings.mapping.mapper.learned_decoder;
@@ -181,5 +185,28 @@ fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemor
         color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
         mapping,
         compute,
+    }
+}
+
+fn check_image_size(camera: &Pinhole) -> Result<(), RunError> {
+    let Pinhole { width, height, .. } = *camera;
+    if width.max(height) > MAX_IMAGE_SIDE_PX {
+        return Err(RunError::Usage(format!(
+            "planning the run: the images have {width} x {height} px; use images of at most {MAX_IMAGE_SIDE_PX} px a side"
+        )));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_that_no_backend_draws_is_a_matter_of_usage() {
+        for (width, height, code) in [(4096, 4096, None), (4097, 100, Some(2)), (100, 5000, Some(2))] {
+            let camera = Pinhole { width, height, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 };
+            assert_eq!(check_image_size(&camera).map_err(|e| e.code()).err(), code, "{width} x {height}");
+        }
     }
 }

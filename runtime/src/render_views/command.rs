@@ -4,7 +4,7 @@ pub use super::viewer::{RenderError, ViewRefused};
 use super::{MapViewer, Picture, samples};
 use crate::export::map_folder;
 use crate::map_store::MapStoreReader;
-use crate::splat::SplatBackend;
+use crate::splat::{Overflow, SplatBackend};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 
@@ -60,6 +60,14 @@ pub fn run(args: &RenderArgs, map: &MapStoreReader, backend: &mut dyn SplatBacke
     }
     bar.finish_and_clear();
     let counts = viewer.counts();
+    if counts.overflow != Overflow::default() {
+        log::warn!(
+            "what is drawn is not complete: {} Gaussians, {} row entries and {} pairs found no room; raise [splat.*] in the budget",
+            counts.overflow.visible_gaussians,
+            counts.overflow.row_entries,
+            counts.overflow.pairs
+        );
+    }
     log::info!("{n_written} views; {} pages loaded, {} damaged", counts.pages_loaded, counts.pages_damaged);
     Ok(n_written)
 }

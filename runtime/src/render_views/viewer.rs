@@ -4,6 +4,7 @@ use super::Picture;
 use super::residency::Residency;
 use super::selection::{CountedPage, Room, Wanted, pick_pages};
 use crate::map_store::{MapStoreReader, StoreError};
+use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
 use crate::splat::{Overflow, SplatBackend, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, rotation_from_xyzw};
@@ -147,7 +148,7 @@ pub(super) fn map_from_camera(keyframe: &StoredKeyframe) -> Rigid {
 
 /// The backend cannot draw pictures of this size or of this chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the splat backend refuses pictures of this size; raise its picture size in memory_budget.toml")]
+#[error("the splat backend refuses pictures of this size; use images of at most {MAX_IMAGE_SIDE_PX} px a side")]
 pub struct ViewRefused;
 
 /// Why no pictures could be made.

@@ -112,16 +112,18 @@ impl CpuBackend {
     }
 
     /// What a backend of these capacities allocates, row by row.
-    pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; 9] {
+    pub fn memory_plan(capacities: &Capacities) -> [MemoryRow; 10] {
         let row = |name, elements, bytes_per_element| MemoryRow { name, elements, bytes_per_element };
         let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
         let placement_bytes = size_of::<KeyframePlacement>() + size_of::<KeyframeNumbers>() + size_of::<[f32; 3]>();
         let k = capacities.gaussians_per_anchor;
         let mut slot = slot_bytes(k) + size_of::<u32>();
-        let mut chunk_row = SKY_ROW_BYTES + SKY_GRADIENT_BYTES;
+        // Gradients of the one chunk that is trained.
+        let (mut chunk_row, mut gradients) = (SKY_ROW_BYTES, SKY_GRADIENT_BYTES);
         if capacities.learned_decoder {
             slot += FEATURE_BYTES + k * size_of::<GaussianParams>();
-            chunk_row += decoder_row_bytes(k) + decoder_gradient_bytes(k);
+            chunk_row += decoder_row_bytes(k);
+            gradients += decoder_gradient_bytes(k);
         }
         [
             row("splat.anchors", capacities.anchors, slot),
@@ -132,6 +134,7 @@ impl CpuBackend {
             row("splat.training_pixels", capacities.training_pixels, TRAINING_PIXEL_BYTES),
             row("splat.keyframe_rows", capacities.keyframe_rows, placement_bytes),
             row("splat.chunk_rows", capacities.chunk_rows, chunk_row),
+            row("splat.chunk_gradients", 1, gradients),
             row("splat.exposure_slots", capacities.exposure_slots, EXPOSURE_BYTES),
         ]
     }
