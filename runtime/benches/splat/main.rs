@@ -1,4 +1,4 @@
-//! `cargo xtask bench splat`: times a training step stage by stage, on every backend there is, beside what the machine
+//! `cargo xtask bench splat`: times a training step and the scores of a view stage by stage, on every backend there is, beside what the machine
 //! could do at most. Prints tables and judges nothing.
 
 mod machine;
@@ -11,8 +11,8 @@ use kilogs::splat::device::{DeviceBackend, Executor};
 use kilogs::splat::vulkan::{DeviceRequest, VulkanDevice, VulkanExecutor};
 use kilogs::splat::wgpu::WgpuExecutor;
 use kilogs::splat::{
-    Capacities, DecoderRates, RenderTarget, SplatBackend, StageTimes, StepReport, StepSettings, TargetImage,
-    TrainingView,
+    AnchorScore, Capacities, DecoderRates, RenderStats, RenderTarget, SplatBackend, StageTimes, StepSettings,
+    TargetImage, TrainingView,
 };
 use machine::Machine;
 use scene::{GAUSSIANS_PER_ANCHOR, SIZES, Scene, Size};
@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use work::{Counts, least_work};
 
 #[derive(Parser)]
-#[command(name = "cargo xtask bench splat", about = "Times a training step, stage by stage")]
+#[command(name = "cargo xtask bench splat", about = "Times a training step and the scores of a view, stage by stage")]
 struct Options {
     /// Only sizes whose name contains this, for example `50k`.
     #[arg(long, value_name = "TEXT")]
@@ -41,6 +41,9 @@ struct Options {
     /// Train a learned decoder, too.
     #[arg(long)]
     decoder: bool,
+    /// Find the gradient of the camera's pose, too.
+    #[arg(long)]
+    pose: bool,
     /// Given by `cargo bench`.
     #[arg(long, hide = true)]
     bench: bool,
@@ -63,7 +66,7 @@ fn main() {
                 continue;
             }
             match open(Capacities { learned_decoder: options.decoder, ..capacities(size) }) {
-                Ok(mut backend) => print_table(&name, size, &scene, backend.as_mut(), &machine, options.seconds),
+                Ok(mut backend) => print_tables(&name, size, &scene, backend.as_mut(), &machine, &options),
                 Err(reason) => println!("{} on {name}: left out, {reason}\n", size.name()),
             }
         }
@@ -123,31 +126,52 @@ fn capacities(size: &Size) -> Capacities {
 
 /// Median times of one backend on one size.
 struct Measured {
-    step_ms: f64,
+    run_ms: f64,
     stages: Vec<(&'static str, f64)>,
-    report: StepReport,
+    stats: RenderStats,
 }
 
-fn measure(backend: &mut dyn SplatBackend, training: &TrainingView<'_>, seconds: f64) -> Measured {
-    let mut settings = StepSettings::direct(0.0);
+fn measure_steps(backend: &mut dyn SplatBackend, training: &TrainingView<'_>, options: &Options) -> Measured {
+    let mut settings = StepSettings { pose_gradient: options.pose, ..StepSettings::direct(0.0) };
     if backend.capacities().learned_decoder {
         settings.rates.decoder = DecoderRates::METHOD;
         settings.decoder_row = Some(0);
     }
     // Caches, page faults and the device's pipelines.
-    let report = backend.train_step(training, &settings);
-    backend.train_step(training, &settings);
-    let mut steps: Vec<(f64, StageTimes)> = Vec::new();
-    let end = Instant::now() + Duration::from_secs_f64(seconds);
-    while steps.len() < 3 || Instant::now() < end {
-        let start = Instant::now();
-        backend.train_step(training, &settings);
-        steps.push((start.elapsed().as_secs_f64() * 1e3, backend.stage_times()));
+    let stats = backend.train_step(training, &settings).stats;
+    Measured {
+        stats,
+        ..measure(backend, options.seconds, &mut |backend| {
+            backend.train_step(training, &settings);
+        })
     }
-    let names: Vec<_> = steps[0].1.iter().map(|(name, _)| name).collect();
-    let stage = |name| median(steps.iter().flat_map(|(_, times)| times.iter()).filter(|s| s.0 == name).map(|s| s.1));
+}
+
+fn measure_scores(backend: &mut dyn SplatBackend, training: &TrainingView<'_>, options: &Options) -> Measured {
+    let mut scores = vec![AnchorScore::default(); backend.capacities().anchors];
+    let stats = backend.score_view(training, ERROR_THRESHOLD, &mut scores).stats;
+    let score = &mut |backend: &mut dyn SplatBackend| {
+        backend.score_view(training, ERROR_THRESHOLD, &mut scores);
+    };
+    Measured { stats, ..measure(backend, options.seconds, score) }
+}
+
+/// The lifecycle's (method.md 12).
+const ERROR_THRESHOLD: f32 = 0.1;
+
+fn measure(backend: &mut dyn SplatBackend, seconds: f64, run: &mut dyn FnMut(&mut dyn SplatBackend)) -> Measured {
+    run(backend);
+    let mut runs: Vec<(f64, StageTimes)> = Vec::new();
+    let end = Instant::now() + Duration::from_secs_f64(seconds);
+    while runs.len() < 3 || Instant::now() < end {
+        let start = Instant::now();
+        run(backend);
+        runs.push((start.elapsed().as_secs_f64() * 1e3, backend.stage_times()));
+    }
+    let names: Vec<_> = runs[0].1.iter().map(|(name, _)| name).collect();
+    let stage = |name| median(runs.iter().flat_map(|(_, times)| times.iter()).filter(|s| s.0 == name).map(|s| s.1));
     let stages = names.into_iter().map(|name| (name, stage(name))).collect();
-    Measured { step_ms: median(steps.iter().map(|s| s.0)), stages, report }
+    Measured { run_ms: median(runs.iter().map(|s| s.0)), stages, stats: RenderStats::default() }
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -156,23 +180,23 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-fn print_table(
+fn print_tables(
     name: &str,
     size: &Size,
     scene: &Scene,
     backend: &mut dyn SplatBackend,
     machine: &Machine,
-    seconds: f64,
+    options: &Options,
 ) {
     scene.write_to(backend);
     let view = size.view();
     let transmittance = mean_transmittance(backend, size);
     let target = target(size);
     let training = TrainingView { view, target: TargetImage::Rgb8(&target), depth: None, exposure_slot: Some(0) };
-    let measured = measure(backend, &training, seconds);
-    let stats = measured.report.stats;
+    let steps = measure_steps(backend, &training, options);
+    let stats = steps.stats;
     let counts = Counts::new(size, &stats, scene.n_contributions(&view));
-    println!("{} on {name}: {:.1} ms per step, {:.2} it/s", size.name(), measured.step_ms, 1e3 / measured.step_ms);
+    println!("{} on {name}: {:.1} ms per step, {:.2} it/s", size.name(), steps.run_ms, 1e3 / steps.run_ms);
     println!(
         "{} visible, {:.2} pairs per Gaussian, {:.1} contributions per pixel, mean final transmittance {transmittance:.3}, overflow {:?}",
         stats.visible,
@@ -180,12 +204,19 @@ fn print_table(
         counts.contributions / counts.pixels,
         stats.overflow
     );
+    print_stages(&steps, &counts, machine);
+    let scores = measure_scores(backend, &training, options);
+    println!("{} on {name}: {:.1} ms to score a view", size.name(), scores.run_ms);
+    print_stages(&scores, &counts, machine);
+}
+
+fn print_stages(measured: &Measured, counts: &Counts, machine: &Machine) {
     println!(
         "| stage | ms | share | MB at least | MFLOP at least | roofline ms | of roofline |\n|---|---:|---:|---:|---:|---:|---:|"
     );
     for &(stage, ms) in &measured.stages {
-        let share = format!("{stage} | {ms:.2} | {:.0} %", 100.0 * ms / measured.step_ms);
-        match least_work(stage, &counts) {
+        let share = format!("{stage} | {ms:.2} | {:.0} %", 100.0 * ms / measured.run_ms);
+        match least_work(stage, counts) {
             Some(work) => {
                 let roofline_ms = 1e3 * (work.bytes / machine.bytes_per_s).max(work.flops / machine.flops_per_s);
                 let (megabytes, megaflops) = (work.bytes * 1e-6, work.flops * 1e-6);

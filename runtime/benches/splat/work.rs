@@ -108,6 +108,13 @@ pub fn least_work(stage: &str, n: &Counts) -> Option<Work> {
             n.pairs * (PAIR_BYTES + SPLAT_BYTES) + n.pixels * 2.0 * DRAWN_BYTES + n.visible * SPLAT_GRADIENT_BYTES,
             n.contributions * BLEND_BACKWARD_FLOPS,
         ),
+        // How the directions change, on top of the lookup.
+        "sky_turn" => work(n.pixels * 2.0 * DRAWN_BYTES, n.pixels * (SKY_FLOPS + 40.0)),
+        // Distance, exponent, alpha and two counts; a mark per pixel.
+        "score" => work(
+            n.pairs * (PAIR_BYTES + SPLAT_BYTES) + n.pixels * size_of::<f32>() as f64,
+            n.contributions * (BLEND_FLOPS - 6.0),
+        ),
         "sky" => work(n.pixels * 2.0 * DRAWN_BYTES, n.pixels * SKY_FLOPS),
         "update" => {
             work(n.visible * (SPLAT_GRADIENT_BYTES + 2.0 * (GAUSSIAN_BYTES + MOMENT_BYTES)), n.visible * UPDATE_FLOPS)

@@ -2,18 +2,18 @@
 
 use super::error::DeviceError;
 use super::executor::Executor;
+use super::runs::{Device, refused};
 use super::slots::Slots;
-use super::view::{place, view_block};
+use super::view::view_block;
 use crate::splat::cpu::exposures::Exposures;
 use crate::splat::cpu::sky::INITIAL_COLOR;
-use crate::splat::layout::{Counters, DeviceAnchor, KeyframeBlock, ViewBlock};
-use crate::splat::program::{Buffer, FEATURE_MOMENTS, Part, TEXEL_NUMBERS, WorkSize, buffer_plan};
+use crate::splat::layout::{DeviceAnchor, KeyframeBlock, ViewBlock};
+use crate::splat::program::{Buffer, FEATURE_MOMENTS, TEXEL_NUMBERS, buffer_plan};
 use crate::splat::{
     AnchorFeature, AnchorHeader, AnchorScore, BACKGROUND_TEXELS, Capacities, DecoderShape, Exposure, GaussianParams,
-    KeyframePlacement, MemoryRow, Overflow, RenderStats, RenderTarget, ScoreReport, SplatBackend, StageClock,
-    StageTimes, StepReport, StepSettings, TrainingView, View,
+    KeyframePlacement, MemoryRow, RenderStats, RenderTarget, ScoreReport, SplatBackend, StageClock, StageTimes,
+    StepReport, StepSettings, TrainingView, View,
 };
-use core::cell::RefCell;
 use zerocopy::IntoBytes;
 
 /// Splatting on a device.
@@ -23,9 +23,9 @@ use zerocopy::IntoBytes;
 pub struct DeviceBackend<E> {
     pub(super) capacities: Capacities,
     pub(super) device: Device<E>,
-    slots: Slots,
-    placements: Vec<KeyframePlacement>,
-    keyframes: Vec<KeyframeBlock>,
+    pub(super) slots: Slots,
+    pub(super) placements: Vec<KeyframePlacement>,
+    pub(super) keyframes: Vec<KeyframeBlock>,
     pub(super) exposures: Exposures,
     /// Red, green, blue on their way from the device.
     planes: Vec<f32>,
@@ -36,29 +36,7 @@ pub struct DeviceBackend<E> {
     /// Zeros for the moments of [`SLOTS_PER_UPLOAD`] slots.
     zeros: Vec<u8>,
     /// Set when every stage is run and waited for on its own.
-    clock: Option<StageClock>,
-}
-
-/// An executor, and what went wrong with it first.
-pub(super) struct Device<E> {
-    executor: RefCell<E>,
-    failure: RefCell<Option<DeviceError>>,
-}
-
-impl<E: Executor> Device<E> {
-    /// Does something unless the device has failed; false, and the reason is kept, when it fails now.
-    pub fn call(&self, action: impl FnOnce(&mut E) -> Result<(), DeviceError>) -> bool {
-        if self.failure.borrow().is_some() {
-            return false;
-        }
-        match action(&mut self.executor.borrow_mut()) {
-            Ok(()) => true,
-            Err(error) => {
-                *self.failure.borrow_mut() = Some(error);
-                false
-            }
-        }
-    }
+    pub(super) clock: Option<StageClock>,
 }
 
 impl<E: Executor> DeviceBackend<E> {
@@ -78,7 +56,7 @@ impl<E: Executor> DeviceBackend<E> {
         let k = capacities.gaussians_per_anchor;
         let n_pixels = capacities.image_width_px as usize * capacities.image_height_px as usize;
         Ok(Self {
-            device: Device { executor: RefCell::new(executor), failure: RefCell::new(None) },
+            device: Device::new(executor),
             slots: Slots::new(&capacities),
             placements: vec![KeyframePlacement::identity(); capacities.keyframe_rows],
             keyframes: vec![KeyframeBlock::default(); capacities.keyframe_rows],
@@ -127,45 +105,8 @@ impl<E: Executor> DeviceBackend<E> {
         view_block(&self.capacities, view, self.slots.end() as u32)
     }
 
-    pub(super) fn work(&self, view: &View) -> WorkSize {
-        WorkSize { slots: self.slots.end() as u32, width_px: view.camera.width, height_px: view.camera.height }
-    }
-
     fn has_feature(&self, slot: u32) -> bool {
         self.capacities.learned_decoder && (slot as usize) < self.capacities.anchors
-    }
-
-    /// The parts that draw, then others; without those of learned decoders where nothing is learned.
-    pub(super) fn drawing_then(&self, others: &[Part]) -> Parts {
-        let drawing = [Part::Project, Part::Decode, Part::MakeSplats, Part::Sort, Part::Blend];
-        let is_learned = self.capacities.learned_decoder;
-        let is_run = |part: &Part| is_learned || !matches!(part, Part::Decode | Part::StepDecoder);
-        drawing.iter().chain(others).copied().filter(is_run).collect()
-    }
-
-    /// Uploads what the kernels need of a view, and runs the parts.
-    pub(super) fn run(&mut self, view: &View, block: &ViewBlock, parts: &[Part]) -> bool {
-        place(view, &self.placements, &mut self.keyframes);
-        let keyframes = self.keyframes.as_bytes();
-        if let Some(clock) = &mut self.clock {
-            clock.restart();
-        }
-        let uploaded = self.device.call(|e| {
-            e.upload(Buffer::View, 0, block.as_bytes())?;
-            e.upload(Buffer::Keyframes, 0, keyframes)?;
-            e.clear(Buffer::Counters, 0, size_of::<Counters>())?;
-            e.clear(Buffer::Bounds, 0, BOUNDS_BYTES)
-        });
-        uploaded && self.run_more(view, parts)
-    }
-
-    /// Runs further parts of the view that was drawn last.
-    pub(super) fn run_more(&mut self, view: &View, parts: &[Part]) -> bool {
-        let work = self.work(view);
-        match &mut self.clock {
-            None => self.device.call(|e| e.run(parts, &work)),
-            Some(clock) => parts.iter().all(|&part| self.device.call(|e| run_timed(e, part, &work, clock))),
-        }
     }
 
     /// Fills consecutive slots and restarts their moments.
@@ -201,30 +142,6 @@ impl<E: Executor> DeviceBackend<E> {
         let row = usize::from(chunk_row);
         (row < self.decoder_steps.len() && len == shape.len()).then_some(row * len * size_of::<f32>())
     }
-
-    /// Waits for the last run and reads its counters.
-    pub(super) fn stats(&self) -> Option<RenderStats> {
-        let mut counters = Counters::default();
-        let read = self.device.call(|e| e.download(Buffer::Counters, 0, counters.as_mut_bytes()));
-        read.then(|| stats_of(&counters, &self.capacities))
-    }
-}
-
-fn run_timed<E: Executor>(
-    executor: &mut E,
-    part: Part,
-    work: &WorkSize,
-    clock: &mut StageClock,
-) -> Result<(), DeviceError> {
-    let mut word = [0; 4];
-    executor.download(Buffer::Counters, 0, &mut word)?;
-    clock.finish("upload");
-    for (i, stage) in part.stages().iter().enumerate() {
-        executor.run_stage(part, i, work)?;
-        executor.download(Buffer::Counters, 0, &mut word)?;
-        clock.finish(stage.kernel.spec().name);
-    }
-    Ok(())
 }
 
 /// Most anchors that are uploaded together: a call costs more than the bytes of one of them.
@@ -236,33 +153,8 @@ fn next_of_run(slots: &[u32], first: usize, len: usize) -> Option<usize> {
     (len < SLOTS_PER_UPLOAD && slots.get(first + len) == Some(&next)).then_some(first + len)
 }
 
-/// Bytes of [`Buffer::Bounds`].
-const BOUNDS_BYTES: usize = 16;
-
 /// Bytes of [`Buffer::FeatureMoments`] per slot.
 const FEATURE_MOMENT_BYTES: usize = FEATURE_MOMENTS * size_of::<f32>();
-
-/// Parts of one run.
-pub(super) type Parts = heapless::Vec<Part, { Part::ALL.len() }>;
-
-pub(super) fn refused() -> RenderStats {
-    RenderStats { refused: true, ..RenderStats::default() }
-}
-
-fn stats_of(counters: &Counters, capacities: &Capacities) -> RenderStats {
-    let over = |needed: u32, capacity: usize| needed.saturating_sub(capacity as u32);
-    RenderStats {
-        visible: counters.visible,
-        row_entries: counters.entries_needed.min(capacities.row_entries as u32),
-        pairs: counters.pairs,
-        overflow: Overflow {
-            visible_gaussians: over(counters.candidates_needed, capacities.visible_gaussians),
-            row_entries: over(counters.entries_needed, capacities.row_entries),
-            pairs: over(counters.pairs_needed, capacities.pairs),
-        },
-        refused: false,
-    }
-}
 
 impl<E: Executor> SplatBackend for DeviceBackend<E> {
     fn capacities(&self) -> &Capacities {

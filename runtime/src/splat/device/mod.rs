@@ -7,6 +7,7 @@ mod executor;
 mod fallback;
 mod gradients;
 mod host_copy;
+mod runs;
 mod score;
 mod slots;
 mod training;

@@ -1,8 +1,9 @@
 //! A training step on a device: what is uploaded before it, and what is read after it.
 
-use super::backend::{DeviceBackend, Parts, refused};
+use super::backend::DeviceBackend;
 use super::error::DeviceError;
 use super::executor::Executor;
+use super::runs::{Parts, refused};
 use crate::splat::cpu::decode::group;
 use crate::splat::cpu::decoders::DecoderRule;
 use crate::splat::cpu::loss::ExposureGradient;

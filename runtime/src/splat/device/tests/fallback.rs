@@ -127,6 +127,36 @@ fn the_map_is_whole_whenever_the_device_goes() {
 }
 
 #[test]
+fn scores_and_pose_gradients_survive_the_device() {
+    let view = view(64, 48);
+    let target = vec![90; view.n_pixels()];
+    let training = TrainingView { view, target: TargetImage::Gray8(&target), depth: None, exposure_slot: Some(1) };
+    let looking = StepSettings { pose_gradient: true, ..StepSettings::direct(0.0).frozen() };
+    let ask = |backend: &mut dyn SplatBackend| {
+        let mut scores = vec![AnchorScore::default(); N_ANCHORS];
+        let report = backend.score_view(&training, 0.1, &mut scores);
+        (scores, report, backend.train_step(&training, &looking))
+    };
+    let mut expected_backend = filled(capacities(), &[], &[], 1);
+    write_map(&mut expected_backend);
+    let expected = ask(&mut expected_backend);
+    assert!(expected.0.iter().any(|score| score.masked > 0) && expected.2.pose_gradient.is_some());
+    // The device goes while it scores, while it steps, or between them.
+    for calls_left in 60..90 {
+        let (mut backend, has_fallen_back) = with_fallback(Dying { calls_left }, Box::new(cpu));
+        write_map(&mut backend);
+        while !has_fallen_back.load(Relaxed) {
+            ask(&mut backend);
+        }
+        assert!(ask(&mut backend) == expected, "gone after {calls_left} calls");
+    }
+    let (mut backend, _) = with_fallback(Dying { calls_left: 8 }, Box::new(|| Err("no room".to_owned())));
+    let mut scores = vec![AnchorScore::default(); N_ANCHORS];
+    let refused = (0..20).map(|_| backend.score_view(&training, 0.1, &mut scores)).last().expect("20 views");
+    assert!(refused.stats.refused && scores == vec![AnchorScore::default(); N_ANCHORS]);
+}
+
+#[test]
 fn reads_between_the_loss_and_the_next_change_come_from_the_host() {
     let (mut backend, has_fallen_back) = with_fallback(Dying { calls_left: 1000 }, Box::new(cpu));
     write_map(&mut backend);
