@@ -27,47 +27,40 @@ impl fmt::Display for FrameBytesMismatch {
 
 impl core::error::Error for FrameBytesMismatch {}
 
-/// Bytes of a packed frame of this format and size; `None` when the format cannot have that size
-/// (odd sides of a subsampled format) or the product overflows.
-pub fn frame_bytes(format: PixelFormat, width: usize, height: usize) -> Option<usize> {
-    let n_pixels = width.checked_mul(height)?;
-    match format {
-        PixelFormat::Mono8 | PixelFormat::BayerRggb8 => Some(n_pixels),
-        PixelFormat::Rgb8 | PixelFormat::Bgr8 => n_pixels.checked_mul(3),
-        PixelFormat::Nv12 if width.is_multiple_of(2) && height.is_multiple_of(2) => n_pixels.checked_add(n_pixels / 2),
-        PixelFormat::Yuyv if width.is_multiple_of(2) => n_pixels.checked_mul(2),
-        PixelFormat::Nv12 | PixelFormat::Yuyv => None,
-    }
-}
-
-/// Writes the grey image (rows packed, `width` bytes each) of a packed frame into `gray`.
+/// Writes the grey image (rows packed, `width` bytes each) of a frame whose rows start every `stride_bytes` into `gray`.
 ///
-/// Colour is weighted by BT.601; luma formats are taken as they are; a Bayer mosaic is interpolated
-/// bilinearly, with the mosaic mirrored at the border.
+/// Colour is weighted by BT.601; luma formats are taken as they are, and their chroma is not looked at; a Bayer mosaic is
+/// interpolated bilinearly, with the mosaic mirrored at the border. Bytes behind the last pixel are not looked at.
 ///
 /// # Errors
-/// [`FrameBytesMismatch`] when `pixels` is not exactly one frame, or `gray` not exactly `width * height`.
+/// [`FrameBytesMismatch`] when `pixels` does not cover the frame, or `gray` is not exactly `width * height`.
 pub fn to_gray(
     format: PixelFormat,
     pixels: &[u8],
-    width: usize,
-    height: usize,
+    (width, height): (usize, usize),
+    stride_bytes: usize,
     gray: &mut [u8],
 ) -> Result<(), FrameBytesMismatch> {
-    let needed = frame_bytes(format, width, height).unwrap_or(0);
-    if needed == 0 || pixels.len() != needed {
+    let row_bytes = u32::try_from(width).map_or(usize::MAX, |width| format.row_bytes(width) as usize);
+    let needed = stride_bytes.saturating_mul(height.saturating_sub(1)).saturating_add(row_bytes);
+    if width == 0 || height == 0 || stride_bytes < row_bytes || pixels.len() < needed {
         return Err(FrameBytesMismatch { bytes: pixels.len(), needed });
     }
-    if gray.len() != width * height {
-        return Err(FrameBytesMismatch { bytes: gray.len(), needed: width * height });
+    if Some(gray.len()) != width.checked_mul(height) {
+        return Err(FrameBytesMismatch { bytes: gray.len(), needed: width.saturating_mul(height) });
     }
-    match format {
-        PixelFormat::Mono8 => gray.copy_from_slice(pixels),
-        PixelFormat::Rgb8 => weigh(pixels, gray, |[first, g, last]| luma(first, g, last)),
-        PixelFormat::Bgr8 => weigh(pixels, gray, |[first, g, last]| luma(last, g, first)),
-        PixelFormat::Nv12 => gray.copy_from_slice(pixels.get(..width * height).unwrap_or(&[])),
-        PixelFormat::Yuyv => pixels.chunks_exact(2).zip(gray).for_each(|(pair, out)| *out = pair[0]),
-        PixelFormat::BayerRggb8 => interpolate_mosaic(pixels, width, gray),
+    let row = |y: usize| &pixels[y * stride_bytes..y * stride_bytes + row_bytes];
+    for (y, out) in gray.chunks_exact_mut(width).enumerate() {
+        match format {
+            PixelFormat::Mono8 | PixelFormat::Nv12 => out.copy_from_slice(row(y)),
+            PixelFormat::Rgb8 => weigh(row(y), out, |[first, g, last]| luma(first, g, last)),
+            PixelFormat::Bgr8 => weigh(row(y), out, |[first, g, last]| luma(last, g, first)),
+            PixelFormat::Yuyv => row(y).chunks_exact(2).zip(out).for_each(|(pair, out)| *out = pair[0]),
+            PixelFormat::BayerRggb8 => {
+                let (above, below) = mirrored_neighbors(y, height);
+                interpolate_mosaic([row(above), row(y), row(below)], y % 2 == 0, out);
+            }
+        }
     }
     Ok(())
 }
@@ -90,25 +83,20 @@ fn mirrored_neighbors(i: usize, n: usize) -> (usize, usize) {
     (before, after)
 }
 
-fn interpolate_mosaic(pixels: &[u8], width: usize, gray: &mut [u8]) {
-    let height = pixels.len() / width;
-    let row = |y: usize| &pixels[y * width..(y + 1) * width];
-    for (y, out) in gray.chunks_exact_mut(width).enumerate() {
-        let (above, below) = mirrored_neighbors(y, height);
-        let (above, here, below) = (row(above), row(y), row(below));
-        for (x, out) in out.iter_mut().enumerate() {
-            let (left, right) = mirrored_neighbors(x, width);
-            let horizontal = mean([here[left], here[right]]);
-            let vertical = mean([above[x], below[x]]);
-            let diagonal = mean([above[left], above[right], below[left], below[right]]);
-            let cross = mean([here[left], here[right], above[x], below[x]]);
-            *out = match (y % 2, x % 2) {
-                (0, 0) => luma(here[x], cross, diagonal),
-                (0, _) => luma(horizontal, here[x], vertical),
-                (_, 0) => luma(vertical, here[x], horizontal),
-                _ => luma(diagonal, cross, here[x]),
-            };
-        }
+fn interpolate_mosaic([above, here, below]: [&[u8]; 3], has_red: bool, gray: &mut [u8]) {
+    let width = gray.len();
+    for (x, out) in gray.iter_mut().enumerate() {
+        let (left, right) = mirrored_neighbors(x, width);
+        let horizontal = mean([here[left], here[right]]);
+        let vertical = mean([above[x], below[x]]);
+        let diagonal = mean([above[left], above[right], below[left], below[right]]);
+        let cross = mean([here[left], here[right], above[x], below[x]]);
+        *out = match (has_red, x % 2) {
+            (true, 0) => luma(here[x], cross, diagonal),
+            (true, _) => luma(horizontal, here[x], vertical),
+            (false, 0) => luma(vertical, here[x], horizontal),
+            (false, _) => luma(diagonal, cross, here[x]),
+        };
     }
 }
 
@@ -123,11 +111,17 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
+    /// The frame as it is, and with three bytes behind every row and more behind the last.
     #[track_caller]
     fn check(format: PixelFormat, size: (usize, usize), pixels: &[u8], gray: &[u8]) {
-        let mut out = vec![0xAA; gray.len()];
-        assert_eq!(to_gray(format, pixels, size.0, size.1, &mut out), Ok(()));
-        assert_eq!(out, gray, "{format:?}");
+        let row_bytes = format.row_bytes(size.0 as u32) as usize;
+        for padding in [0, 3] {
+            let rows = pixels.chunks(row_bytes).flat_map(|row| row.iter().copied().chain((0..padding).map(|_| 99)));
+            let padded: Vec<u8> = rows.chain([99; 5]).collect();
+            let mut out = vec![0xAA; gray.len()];
+            assert_eq!(to_gray(format, &padded, size, row_bytes + padding, &mut out), Ok(()));
+            assert_eq!(out, gray, "{format:?}, {padding}");
+        }
     }
 
     #[test]
@@ -137,6 +131,9 @@ mod tests {
         check(PixelFormat::Bgr8, (2, 1), &[255, 0, 0, 0, 0, 255], &[29, 76]);
         check(PixelFormat::Nv12, (2, 2), &[9, 8, 7, 6, 128, 128], &[9, 8, 7, 6]);
         check(PixelFormat::Yuyv, (2, 2), &[9, 1, 8, 2, 7, 3, 6, 4], &[9, 8, 7, 6]);
+        // Sides that do not divide evenly have their last luma all the same.
+        check(PixelFormat::Nv12, (3, 1), &[9, 8, 7, 128, 128, 128], &[9, 8, 7]);
+        check(PixelFormat::Yuyv, (3, 1), &[9, 1, 8, 2, 7, 3], &[9, 8, 7]);
     }
 
     #[test]
@@ -156,15 +153,17 @@ mod tests {
 
     #[test]
     fn frames_of_the_wrong_length_are_refused() {
-        let refused = |format, n_pixels: usize, n_gray: usize| {
-            to_gray(format, &vec![0; n_pixels], 4, 2, &mut vec![0; n_gray]).is_err()
+        let refused = |stride_bytes: usize, n_pixels: usize, n_gray: usize| {
+            let (pixels, mut gray) = (vec![0; n_pixels], vec![0; n_gray]);
+            to_gray(PixelFormat::Rgb8, &pixels, (4, 2), stride_bytes, &mut gray).is_err()
         };
-        assert!(!refused(PixelFormat::Rgb8, 24, 8));
-        assert!(refused(PixelFormat::Rgb8, 23, 8));
-        assert!(refused(PixelFormat::Rgb8, 25, 8));
-        assert!(refused(PixelFormat::Mono8, 8, 7));
-        assert_eq!(frame_bytes(PixelFormat::Nv12, 3, 2), None);
-        assert_eq!(frame_bytes(PixelFormat::Yuyv, 3, 2), None);
-        assert_eq!(frame_bytes(PixelFormat::Rgb8, usize::MAX, 2), None);
+        assert!(!refused(12, 24, 8));
+        assert!(!refused(12, 25, 8), "what is behind the frame does not matter");
+        assert!(refused(12, 23, 8));
+        assert!(refused(13, 24, 8));
+        assert!(refused(11, 24, 8), "rows that overlap");
+        assert!(refused(12, 24, 7));
+        assert!(to_gray(PixelFormat::Mono8, &[1], (usize::MAX, 2), 1, &mut []).is_err());
+        assert!(to_gray(PixelFormat::Mono8, &[], (0, 0), 0, &mut []).is_err());
     }
 }

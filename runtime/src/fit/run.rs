@@ -112,7 +112,7 @@ fn train(
     drop(trainer);
     bar.finish_and_clear();
     let store = store.finish()?;
-    Ok(MappingSummary { counters, anchors_resident, store, training, n_images_left_out: 0 })
+    Ok(MappingSummary { counters, anchors_resident, store, training, n_images_left_out: 0, n_views_refused: 0 })
 }
 
 /// What the budget grants keyframe images, less what the mapper keeps at its own resolution.

@@ -85,6 +85,10 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
             "late: {n_keyframes_dropped} keyframes came while the mapper was busy, {n_left_out} images while the disk was"
         );
     }
+    let n_refused = mapping.map_or(0, |m| m.n_views_refused);
+    if n_refused > 0 {
+        log::warn!("{n_refused} views could not be used by the map, see above; it is without them");
+    }
     told.camera_failure.map_or(Ok(()), Err)
 }
 

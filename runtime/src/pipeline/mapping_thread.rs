@@ -1,20 +1,20 @@
 //! The mapping thread: keyframes in, training steps in the time left, pages and images to the store.
 
+use super::mapper_link::{Job, MapperLink};
 use super::memory;
 use super::plan::{Pace, RunPlan};
-use super::queue::{Received, Receiver, Sender, queue};
+use super::queue::{Received, Receiver, Sender};
 use super::tracking_thread::milliseconds;
 use crate::budget::{Row, Usage};
-use crate::input::BorrowedFrame;
 use crate::map_store::{MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
 use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
-use crate::output::{STAGES, Stage, StageTimes};
+use crate::output::Stage;
 use crate::run_error::RunError;
 use crate::seal;
 use kilogs_core::conventions::quaternion_xyzw;
 use kilogs_core::frame::PixelFormat;
 use kilogs_core::store::StoredKeyframe;
-use kilogs_core::tracking::{FrameReport, KeyframePoint, RoadPlane, Tracker};
+use kilogs_core::tracking::FrameReport;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -26,31 +26,6 @@ const IDLE_INTERVAL: Duration = Duration::from_millis(100);
 /// Jobs after which nothing is set up any more and the thread is sealed.
 const WARM_UP_JOBS: u64 = 3;
 
-/// A keyframe or held-out view on its way; the same few travel to and fro for the whole run.
-struct Job {
-    report: Option<FrameReport>,
-    is_held_out: bool,
-    pixels: Box<[u8]>,
-    n_bytes: usize,
-    stride_bytes: usize,
-    pixel_format: PixelFormat,
-    points: Vec<KeyframePoint>,
-    road: Option<RoadPlane>,
-    times: StageTimes,
-}
-
-/// The tracking thread's end.
-pub struct MapperLink {
-    jobs: Sender<Box<Job>>,
-    free: Receiver<Box<Job>>,
-    waits: bool,
-    /// In lock-step the job that came home.
-    at_home: Option<Box<Job>>,
-    n_dropped: u64,
-    n_jobs: usize,
-    usage: Arc<Usage>,
-}
-
 /// The mapping thread's end, and everything it owns.
 pub struct MappingWork {
     mapper: Mapper,
@@ -58,10 +33,12 @@ pub struct MappingWork {
     jobs: Receiver<Box<Job>>,
     free: Sender<Box<Job>>,
     pace: Pace,
+    map_format: PixelFormat,
+    row_bytes: usize,
     usage: Arc<Usage>,
     progress: Arc<MappingProgress>,
     n_images_left_out: u64,
-    n_keyframes_refused: u64,
+    n_views_refused: u64,
     has_warned_of_steps: bool,
     training: Duration,
 }
@@ -90,6 +67,8 @@ pub struct MappingSummary {
     pub training: Duration,
     /// Keyframe images that found the store's queue full.
     pub n_images_left_out: u64,
+    /// Views that the mapper or the store could not use.
+    pub n_views_refused: u64,
 }
 
 /// Takes all memory of mapping; `None` when mapping is switched off.
@@ -106,120 +85,23 @@ pub fn prepare(
     }
     let mapper = memory::mapper(plan)?;
     let store = MapStoreWriter::create(&plan.out.join("map"), &memory::manifest(plan), &memory::store_settings(plan))?;
-    let n_jobs = if plan.is_live() { plan.budget.capacity(Row::PipelineKeyframeQueue) } else { 1 };
-    let (jobs, incoming) = queue(n_jobs);
-    let (back, free) = queue(n_jobs);
-    for _ in 0..n_jobs {
-        let job = Job {
-            report: None,
-            is_held_out: false,
-            pixels: vec![0; plan.frame_bytes()].into(),
-            n_bytes: 0,
-            stride_bytes: 0,
-            pixel_format: plan.pixel_format,
-            points: Vec::with_capacity(plan.budget.capacity(Row::TrackingTracks)),
-            road: None,
-            times: StageTimes::default(),
-        };
-        let pushed = back.push(Box::new(job));
-        debug_assert!(pushed.is_ok(), "the queue has room for every job");
-    }
-    let link = MapperLink {
-        jobs,
-        free,
-        waits: !plan.is_live(),
-        at_home: None,
-        n_dropped: 0,
-        n_jobs,
-        usage: Arc::clone(usage),
-    };
+    let (link, (jobs, free)) = MapperLink::new(plan, usage);
     let work = MappingWork {
         mapper,
         store,
-        jobs: incoming,
-        free: back,
+        jobs,
+        free,
         pace: plan.pace,
+        map_format: plan.pixel_format,
+        row_bytes: plan.pixel_format.row_bytes(plan.camera.width) as usize,
         usage: Arc::clone(usage),
         progress: Arc::clone(progress),
         n_images_left_out: 0,
-        n_keyframes_refused: 0,
+        n_views_refused: 0,
         has_warned_of_steps: false,
         training: Duration::ZERO,
     };
     Ok(Some((link, work)))
-}
-
-impl MapperLink {
-    /// Hands a keyframe over; live it is dropped, and counted, when the mapper is busy with two others. The tracker's
-    /// depths are multiplied by `points_scale` and left out without one.
-    pub fn keyframe(
-        &mut self,
-        frame: &BorrowedFrame<'_>,
-        report: &FrameReport,
-        (tracker, points_scale): (&Tracker<'_>, Option<f32>),
-        times: &mut StageTimes,
-    ) {
-        let Some(mut job) = self.take() else { return };
-        job.is_held_out = false;
-        job.points.clear();
-        if let Some(scale) = points_scale {
-            let n_points = tracker.keyframe_points().len().min(job.points.capacity());
-            let points = tracker.keyframe_points().iter().take(n_points);
-            job.points.extend(points.map(|point| KeyframePoint { depth_m: scale * point.depth_m, ..*point }));
-        }
-        job.road = tracker.road_plane();
-        self.send(job, frame, report, times);
-    }
-
-    /// Hands over a view that is only stored, to judge the map by.
-    pub fn held_out(&mut self, frame: &BorrowedFrame<'_>, report: &FrameReport, times: &mut StageTimes) {
-        let Some(mut job) = self.take() else { return };
-        job.is_held_out = true;
-        self.send(job, frame, report, times);
-    }
-
-    /// Keyframes that found no room.
-    pub fn n_dropped(&self) -> u64 {
-        self.n_dropped
-    }
-
-    fn take(&mut self) -> Option<Box<Job>> {
-        if self.waits {
-            return self.at_home.take().or_else(|| self.free.pop());
-        }
-        match self.free.pop_within(Duration::ZERO) {
-            Received::Element(job) => Some(job),
-            Received::Empty | Received::Closed => {
-                self.n_dropped += 1;
-                None
-            }
-        }
-    }
-
-    fn send(&mut self, mut job: Box<Job>, frame: &BorrowedFrame<'_>, report: &FrameReport, times: &mut StageTimes) {
-        let pixels = frame.pixels();
-        job.n_bytes = pixels.len().min(job.pixels.len());
-        job.pixels[..job.n_bytes].copy_from_slice(&pixels[..job.n_bytes]);
-        job.stride_bytes = frame.header().stride_bytes as usize;
-        job.pixel_format = frame.pixel_format();
-        job.report = Some(*report);
-        job.times = StageTimes::default();
-        self.usage.observe(Row::PipelineKeyframeQueue, self.n_jobs.saturating_sub(self.free.n_waiting()));
-        if self.jobs.push(job).is_err() {
-            self.n_dropped += 1;
-            return;
-        }
-        if !self.waits {
-            return;
-        }
-        // In lock-step the frame is done when its mapping is.
-        self.at_home = self.free.pop();
-        if let Some(done) = &self.at_home {
-            for (stage, _) in STAGES {
-                times.add(stage, done.times.ms(stage));
-            }
-        }
-    }
 }
 
 impl MappingWork {
@@ -274,17 +156,12 @@ impl MappingWork {
             frame_index: report.frame_index,
             timestamp_ns: report.timestamp_ns,
             world_from_camera: report.world_from_camera,
-            image: MappingImage {
-                pixels: &job.pixels[..job.n_bytes],
-                stride_bytes: job.stride_bytes,
-                format: job.pixel_format,
-            },
+            image: MappingImage { pixels: &job.pixels, stride_bytes: self.row_bytes, format: self.map_format },
             points: &job.points,
             road: job.road,
         };
         if let Err(refused) = self.mapper.insert_keyframe(&packet, &mut &self.store) {
-            log::debug!("{refused}");
-            self.n_keyframes_refused += 1;
+            self.refuse(&refused);
             return false;
         }
         job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
@@ -353,15 +230,30 @@ impl MappingWork {
             image_bytes: 0,
             image_crc: 0,
         };
-        let image = StoreImage { pixels: &job.pixels[..job.n_bytes], stride_bytes: job.stride_bytes };
-        if self.store.write_keyframe(&keyframe, image) == Err(WriteRefusal::Busy) {
-            self.n_images_left_out += 1;
-            self.usage.refuse(Row::StoreImageQueue, 1);
-            // A held-out view without its image judges nothing; a keyframe is needed by its anchors.
-            if !job.is_held_out && self.store.place_keyframe(&keyframe).is_err() {
-                log::warn!("keyframe {} could not be logged: the disk is too slow", keyframe.keyframe_id);
+        let image = StoreImage { pixels: &job.pixels, stride_bytes: self.row_bytes };
+        match self.store.write_keyframe(&keyframe, image) {
+            Ok(()) => {}
+            Err(WriteRefusal::Busy) => {
+                self.n_images_left_out += 1;
+                self.usage.refuse(Row::StoreImageQueue, 1);
+                // A held-out view without its image judges nothing; a keyframe is needed by its anchors.
+                if !job.is_held_out && self.store.place_keyframe(&keyframe).is_err() {
+                    log::warn!("keyframe {} could not be logged: the disk is too slow", keyframe.keyframe_id);
+                }
             }
+            Err(refused) => self.refuse(&refused),
         }
+    }
+
+    /// Counts a view that will never be in the map; the first is told.
+    fn refuse(&mut self, reason: &dyn std::error::Error) {
+        // A message takes memory, and there is one of them.
+        let _lifted = seal::lift();
+        if self.n_views_refused == 0 {
+            log::warn!("mapping: {reason}; the map will be without this view, and others like it are only counted");
+        }
+        self.n_views_refused += 1;
+        self.usage.refuse(Row::PipelineKeyframeQueue, 1);
     }
 
     fn finish(mut self) -> Result<MappingSummary, RunError> {
@@ -377,7 +269,13 @@ impl MappingWork {
         self.usage.observe(Row::StoreImageQueue, n_images + usize::from(n_images > 0));
         let store = self.store.finish()?;
         self.progress.store_bytes.store(store.bytes.store_bytes, Ordering::Relaxed);
-        let (training, n_images_left_out) = (self.training, self.n_images_left_out);
-        Ok(MappingSummary { counters, anchors_resident, store, training, n_images_left_out })
+        Ok(MappingSummary {
+            counters,
+            anchors_resident,
+            store,
+            training: self.training,
+            n_images_left_out: self.n_images_left_out,
+            n_views_refused: self.n_views_refused,
+        })
     }
 }

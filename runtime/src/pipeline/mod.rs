@@ -8,8 +8,10 @@
 //! map-store thread           this thread                       files, memory watch, health, progress, Ctrl-C
 //! ```
 
+mod camera_image;
 mod finish;
 mod given_poses;
+mod mapper_link;
 mod mapping_thread;
 mod memory;
 mod odometry;

@@ -1,17 +1,18 @@
 //! The tracking thread: from the shared memory to a pose, every frame, without taking memory.
 
+use super::camera_image::CameraImage;
 use super::given_poses::GivenPoses;
-use super::mapping_thread::MapperLink;
+use super::mapper_link::MapperLink;
 use super::plan::RunPlan;
 use super::queue::Sender;
 use super::record::Record;
 use crate::budget::{Row, Usage};
-use crate::input::{BorrowedFrame, FrameInput, InputEvent};
+use crate::input::{BorrowedFrame, FrameInput, HeaderVerdict, InputEvent};
 use crate::map_store::HeldOutRule;
 use crate::output::{Stage, StageTimes};
 use crate::run_error::RunError;
 use crate::seal;
-use kilogs_core::frame::{ImageView, PixelFormat, gray};
+use kilogs_core::frame::ImageView;
 use kilogs_core::tracking::{FrameReport, FrameStatus, Tracker};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -41,7 +42,6 @@ pub struct TrackingThread<'run> {
 
 /// What changes from frame to frame.
 struct State {
-    gray: Vec<u8>,
     given_poses: Option<GivenPoses>,
     slots: SlotsSeen,
     held_out: HeldOutRule,
@@ -57,8 +57,8 @@ impl TrackingThread<'_> {
     /// [`RunError::Input`] when the shared memory breaks down.
     pub fn run(mut self, mut input: FrameInput) -> Result<(), RunError> {
         let failed = |e: crate::input::InputError| RunError::Input(e.to_string());
+        let mut gray = vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize];
         let mut state = State {
-            gray: vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize],
             given_poses: self.plan.given_poses.clone(),
             slots: SlotsSeen::new(self.plan.budget.capacity(Row::IpcFrameSlots)),
             held_out: HeldOutRule::default(),
@@ -73,7 +73,7 @@ impl TrackingThread<'_> {
             }
             match input.wait(LOOK_INTERVAL).map_err(failed)? {
                 InputEvent::Frame(frame) => {
-                    self.frame(&frame, &mut state, waiting_since.elapsed());
+                    self.frame(&frame, &mut gray, &mut state, waiting_since.elapsed());
                     drop(frame);
                     waiting_since = Instant::now();
                 }
@@ -101,33 +101,37 @@ impl TrackingThread<'_> {
     }
 
     /// One frame; the slot of shared memory is borrowed until this returns.
-    fn frame(&mut self, frame: &BorrowedFrame<'_>, state: &mut State, waited: Duration) {
+    fn frame(&mut self, frame: &BorrowedFrame<'_>, gray: &mut [u8], state: &mut State, waited: Duration) {
         let mut times = StageTimes::default();
         times.add(Stage::Input, milliseconds(waited));
         let frame_index = frame.frame_index();
         state.n_frames_of_camera += 1;
         let started = Instant::now();
-        let Some(image) = gray_view(frame, &mut state.gray) else { return };
-        let mut report = self.tracker.step(image, frame_index, frame.timestamp_ns());
+        let image = CameraImage::of_frame(frame);
+        let Some(gray) = image.gray(gray) else {
+            let (claimed_bytes, sent_bytes) = (frame.header().payload_bytes, image.pixels.len() as u64);
+            let needed_bytes = (image.stride_bytes * image.size.1) as u64;
+            return self.tell(Record::Refused(HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes }));
+        };
+        let mut report = self.tracker.step(gray, frame_index, frame.timestamp_ns());
         if let Some(given_poses) = &mut state.given_poses {
             given_poses.replace(&mut report);
         }
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
-        self.observe(frame, &mut state.slots);
+        self.observe(&image, &mut state.slots);
         state.n_keyframes += u32::from(report.is_keyframe);
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);
-        self.hand_to_mapper(frame, &report, state, &mut times);
+        self.hand_to_mapper(&image, &gray, &report, state, &mut times);
         self.tell(Record::Frame { report, times });
     }
 
     /// Notes how full the tracker's containers are, and which slots of shared memory the camera has used.
-    fn observe(&self, frame: &BorrowedFrame<'_>, slots: &mut SlotsSeen) {
-        let is_gray = frame.pixel_format() == PixelFormat::Mono8;
+    fn observe(&self, image: &CameraImage<'_>, slots: &mut SlotsSeen) {
         let fill = self.tracker.fill();
         for (row, n) in [
-            (Row::IpcFrameSlots, slots.see(frame.pixels())),
-            (Row::TrackingGrayImages, usize::from(!is_gray)),
+            (Row::IpcFrameSlots, slots.see(image.pixels)),
+            (Row::TrackingGrayImages, usize::from(!image.has_gray_plane())),
             (Row::TrackingPyramids, fill.pyramids),
             (Row::TrackingLandmarks, fill.landmarks),
             (Row::TrackingKeyframes, fill.keyframes),
@@ -138,7 +142,8 @@ impl TrackingThread<'_> {
 
     fn hand_to_mapper(
         &mut self,
-        frame: &BorrowedFrame<'_>,
+        image: &CameraImage<'_>,
+        gray: &ImageView<'_>,
         report: &FrameReport,
         state: &mut State,
         times: &mut StageTimes,
@@ -149,10 +154,10 @@ impl TrackingThread<'_> {
         }
         let is_held_out = state.held_out.admits(report.frame_index, state.n_keyframes);
         if is_held_out {
-            link.held_out(frame, report, times);
+            link.held_out((image, gray), report, times);
         } else if report.is_keyframe && !crate::map_store::is_held_out_frame(report.frame_index) {
             let points_scale = state.given_poses.as_ref().map_or(Some(1.0), GivenPoses::points_scale);
-            link.keyframe(frame, report, (&self.tracker, points_scale), times);
+            link.keyframe((image, gray), report, (&self.tracker, points_scale), times);
         }
     }
 
@@ -189,28 +194,6 @@ impl SlotsSeen {
     fn forget(&mut self) {
         self.addresses.clear();
     }
-}
-
-/// The frame as grey pixels: where it lies if it is grey already, otherwise converted into `buffer`.
-fn gray_view<'a>(frame: &'a BorrowedFrame<'_>, buffer: &'a mut [u8]) -> Option<ImageView<'a>> {
-    if frame.pixel_format() == PixelFormat::Mono8 {
-        return frame.grey().ok();
-    }
-    let header = frame.header();
-    let (width, height) = (header.width as usize, header.height as usize);
-    let (format, pixels) = (frame.pixel_format(), frame.pixels());
-    let row_bytes = gray::frame_bytes(format, width, 1);
-    match row_bytes {
-        // Rows with padding behind them are converted one by one.
-        Some(row_bytes) if row_bytes != header.stride_bytes as usize && format != PixelFormat::BayerRggb8 => {
-            let rows = pixels.chunks(header.stride_bytes as usize).zip(buffer.chunks_exact_mut(width));
-            for (row, gray_row) in rows {
-                gray::to_gray(format, row.get(..row_bytes)?, width, 1, gray_row).ok()?;
-            }
-        }
-        _ => gray::to_gray(format, pixels, width, height, buffer).ok()?,
-    }
-    ImageView::new(buffer, width, height, width).ok()
 }
 
 /// A duration as it is reported.

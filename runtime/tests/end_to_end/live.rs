@@ -2,8 +2,12 @@
 
 use crate::drive::Drive;
 use crate::program::{Program, word};
-use crate::replay::{check_counts, count, json};
+use crate::replay::{check_counts, count, json, number};
+use kilogs_camera::ipc::FrameSlots;
+use kilogs_camera::publish::{Pace, PublishSettings, publish};
+use kilogs_camera::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
 /// A camera that is gone is told within a second, by the clock of the run itself.
@@ -90,4 +94,79 @@ fn a_run_needs_the_whole_camera() {
     let ended = ended.wait();
     let is_told = ended.stderr.contains("a live camera needs width, height, fx, fy, cx and cy");
     assert!(ended.code == Some(2) && is_told, "{ended:?}");
+}
+
+/// A camera that sends a drive as pixels of its own kind.
+struct OtherCamera<'drive> {
+    drive: &'drive Drive,
+    format: SourceFormat,
+    next: usize,
+}
+
+impl FrameSource for OtherCamera<'_> {
+    fn format(&self) -> SourceFormat {
+        self.format
+    }
+
+    fn next_frame(&mut self, pixels: &mut [u8]) -> Result<Option<FrameInfo>, SourceError> {
+        if self.next == self.drive.n_images() {
+            return Ok(None);
+        }
+        let image = image::open(self.drive.image(self.next)).expect("an image of the drive");
+        match self.format.pixel_format {
+            PixelFormat::Mono8 => pixels.copy_from_slice(image.to_luma8().as_raw()),
+            PixelFormat::Bgr8 => {
+                pixels.copy_from_slice(image.to_rgb8().as_raw());
+                pixels.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
+            }
+            other => panic!("no drive is sent as {other:?}"),
+        }
+        let timestamp_ns = self.next as u64 * 100_000_000;
+        self.next += 1;
+        Ok(Some(FrameInfo { timestamp_ns, exposure_us: 0 }))
+    }
+}
+
+/// Maps the drive of a camera that sends `pixel_format`; the stored images must be those of the drive.
+fn check_camera(drive: &Drive, pixel_format: PixelFormat) {
+    let (out, service) = (tempfile::tempdir().expect("a folder"), service_name(&format!("{pixel_format:?}")));
+    let run = start_run(drive, &service, out.path());
+    let described = kilogs_camera::source::describe(drive.path(), None, None).expect("the drive");
+    let format = SourceFormat { pixel_format, ..described.format };
+    let settings = PublishSettings {
+        service,
+        pace: Pace::Live { rate: 1.0 },
+        tracker_patience: Some(Duration::from_secs(60)),
+        ends_with_tracker: true,
+        slots: FrameSlots::DEFAULT,
+        camera_id: 0,
+    };
+    let mut camera = OtherCamera { drive, format, next: 0 };
+    let sent = publish(&mut camera, &settings, &AtomicBool::new(false), &mut |_| ()).expect("a tracker listens");
+    let ended = run.wait();
+    assert_eq!((ended.code, sent.n_sent), (Some(0), drive.n_images() as u64), "{}", ended.stderr);
+    let report = json(&out.path().join("report.json"));
+    check_counts(&report);
+    let psnr_db = number(&report, "/mapping/psnr_train_db");
+    println!("{pixel_format:?}: PSNR on keyframes {psnr_db:.2} dB");
+    assert!((11.0..50.0).contains(&psnr_db) && count(&report, "/mapping/gaussians") > 1000, "{report}");
+    let mut n_stored = 0;
+    for index in 0..drive.n_images() {
+        let Ok(stored) = image::open(out.path().join(format!("map/images/{index:08}.jpg"))) else { continue };
+        let sent = image::open(drive.image(index)).expect("an image of the drive");
+        let sent = if pixel_format == PixelFormat::Mono8 { sent.grayscale() } else { sent };
+        let (stored, sent) = (stored.to_rgb8(), sent.to_rgb8());
+        let differences = stored.as_raw().iter().zip(sent.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b)));
+        let mean = differences.sum::<u64>() as f64 / sent.as_raw().len() as f64;
+        assert!(mean < 8.0, "{pixel_format:?}: frame {index} is stored {mean:.1} levels beside what was sent");
+        n_stored += 1;
+    }
+    assert!(n_stored >= 2, "{pixel_format:?}: {n_stored} images are stored: {}", ended.stderr);
+}
+
+#[test]
+fn a_camera_without_rgb_pixels_is_mapped_too() {
+    let drive = Drive::new(15.0);
+    check_camera(&drive, PixelFormat::Mono8);
+    check_camera(&drive, PixelFormat::Bgr8);
 }
