@@ -42,12 +42,12 @@ impl Rogue {
 
 fn open(purpose: &str) -> (FrameInput, String) {
     let service = unique_service_name(purpose);
-    (open_at(&service), service)
+    (open_at(&service, false), service)
 }
 
-fn open_at(service: &str) -> FrameInput {
+fn open_at(service: &str, is_recorded: bool) -> FrameInput {
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: Some(PixelFormat::Mono8) };
-    let settings = InputSettings { service: service.to_owned(), format, slots: FrameSlots::DEFAULT };
+    let settings = InputSettings { service: service.to_owned(), format, slots: FrameSlots::DEFAULT, is_recorded };
     FrameInput::open(&settings).expect("shared memory")
 }
 
@@ -99,8 +99,12 @@ fn each_bad_header_is_refused_and_the_next_good_frame_is_taken() {
 
 /// Sends frames with these times; what became of each: the time that the tracker sees, or `None` when refused.
 fn times_of(purpose: &str, sent_ns: &[u64]) -> Vec<Option<u64>> {
-    let (mut input, service) = open(purpose);
-    let rogue = Rogue::new(&service);
+    let (input, service) = open(purpose);
+    times_at(input, &service, sent_ns)
+}
+
+fn times_at(mut input: FrameInput, service: &str, sent_ns: &[u64]) -> Vec<Option<u64>> {
+    let rogue = Rogue::new(service);
     let mut seen = Vec::new();
     for (sequence, &timestamp_ns) in sent_ns.iter().enumerate() {
         rogue.send(FrameHeader::packed(sequence as u64, timestamp_ns, SIZE, PixelFormat::Mono8));
@@ -137,12 +141,43 @@ fn one_far_time_is_refused_and_a_clock_that_was_set_is_followed() {
     }
 }
 
+#[test]
+fn a_pause_in_a_recording_is_as_long_as_it_was() {
+    const PAUSE_NS: u64 = 1 << 40;
+    let service = unique_service_name("pause");
+    let seen = times_at(open_at(&service, true), &service, &[10, 20, PAUSE_NS, PAUSE_NS + 10, PAUSE_NS + 20]);
+    // Only its second frame shows that the first was no damaged header.
+    assert_eq!(seen, [Some(10), Some(20), None, Some(PAUSE_NS + 10), Some(PAUSE_NS + 20)]);
+}
+
+#[test]
+fn a_camera_that_was_replaced_unseen_is_told_before_its_first_frame() {
+    let (mut input, service) = open("replaced");
+    let first = Rogue::new(&service);
+    first.send(FrameHeader::packed(0, 1000, SIZE, PixelFormat::Mono8));
+    assert_eq!(next(&mut input), Ok(0));
+    drop(first);
+    let second = Rogue::new(&service);
+    second.send(FrameHeader::packed(0, 2000, SIZE, PixelFormat::Mono8));
+    let mut told = Vec::new();
+    while told.len() < 3 {
+        told.push(match input.wait(PATIENCE).expect("shared memory") {
+            InputEvent::Frame(frame) => format!("frame {}", frame.frame_index()),
+            InputEvent::CameraGone { .. } => "gone".to_owned(),
+            InputEvent::CameraCame { is_first } => format!("came, first: {is_first}"),
+            other => panic!("{other:?}"),
+        });
+    }
+    assert_eq!(told, ["gone", "came, first: false", "frame 1"]);
+    assert_eq!(input.counts().n_restarts, 1);
+}
+
 /// Sends frames with these sequence numbers to a tracker that comes after or before the camera; the index that each gets
 /// in the run, or `None` when refused, and how many frames are missing.
 fn indices_of(camera_is_first: bool, sent: &[u64]) -> (Vec<Option<u64>>, u64) {
     let service = unique_service_name("numbers");
     let early = camera_is_first.then(|| Rogue::new(&service));
-    let mut input = open_at(&service);
+    let mut input = open_at(&service, false);
     let rogue = early.unwrap_or_else(|| Rogue::new(&service));
     let mut seen = Vec::new();
     for (nth, &sequence) in sent.iter().enumerate() {

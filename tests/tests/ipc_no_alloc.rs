@@ -35,7 +35,7 @@ fn a_frame_from_camera_to_acknowledgement_allocates_nothing() {
     let recording = grey_recording(N_FRAMES);
     let service = unique_service_name("no-alloc");
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: None };
-    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT };
+    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT, is_recorded: false };
     let mut input = FrameInput::open(&settings).expect("shared memory");
     let dataset = recording.path().display().to_string();
     let arguments = ["folder", &dataset, "--service", &service, "--quiet"];

@@ -59,7 +59,7 @@ pub fn run(request: FitRequest) -> Result<(), RunError> {
         bar.set_position((progress.clamp(0.0, 1.0) * BAR_TICKS as f64) as u64);
         !is_interrupted.load(Ordering::Relaxed)
     })?;
-    let told = Told { folder, tally, watch, camera_failure: None };
+    let told = Told { folder, tally, watch, failure: None, camera_failure: None };
     pipeline::conclude(&plan, &usage, Concluded { told, mapping: Some(mapping), started })
 }
 

@@ -1,5 +1,7 @@
 //! What came in, and how the camera process is.
 
+use std::time::Duration;
+
 /// Frames by what became of them before they reached the tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputCounts {
@@ -31,4 +33,27 @@ pub enum CameraState {
     Gone = 3,
     /// It ended the stream.
     Ended = 4,
+}
+
+impl CameraState {
+    /// One sentence for the operator: what the camera of `service` does, and what to try.
+    pub fn describe(self, service: &str, silent_for: Duration) -> String {
+        let silent_s = silent_for.as_secs_f64();
+        match self {
+            Self::NeverCame => format!(
+                "waiting for a camera at \"{service}\": none within {silent_s:.1} s; is the camera process running \
+                 with --service {service}?"
+            ),
+            Self::Sending => format!("the camera at \"{service}\" sends"),
+            Self::Silent => format!(
+                "the camera process at \"{service}\" lives but has sent nothing for {silent_s:.1} s; is it stopped, \
+                 or its cable loose?"
+            ),
+            Self::Gone => format!(
+                "the camera process at \"{service}\" is gone, last frame {silent_s:.1} s ago; waiting for it to be \
+                 started again"
+            ),
+            Self::Ended => format!("the camera at \"{service}\" ended its stream"),
+        }
+    }
 }

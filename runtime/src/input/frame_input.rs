@@ -31,6 +31,8 @@ pub struct InputSettings {
     pub format: ServiceFormat,
     /// Slots, where the camera has not created the service before.
     pub slots: FrameSlots,
+    /// Times are those of a recording: a long pause in them is a pause, and no clock that was set.
+    pub is_recorded: bool,
 }
 
 /// What came of waiting.
@@ -53,7 +55,12 @@ pub enum InputEvent<'input> {
     /// The stream is complete.
     End,
     /// Nothing happened.
-    Timeout(CameraState),
+    Timeout {
+        /// How the camera process is.
+        camera: CameraState,
+        /// How long ago its last frame arrived.
+        silent_for: Duration,
+    },
 }
 
 /// The tracker's end of a camera service.
@@ -62,9 +69,12 @@ pub enum InputEvent<'input> {
 pub struct FrameInput {
     service: String,
     format: ServiceFormat,
+    is_recorded: bool,
     state: CameraState,
     counts: InputCounts,
     session: Option<Session>,
+    /// The first message of the next camera process, until it was told that the one before is gone.
+    held: Option<Sample<Ipc, [FramePage], FrameHeader>>,
     /// Camera processes at the last look. Reading their number is free; asking who they are allocates.
     n_cameras: usize,
     /// Acknowledged with the next wait, so that the camera process outlives the event that tells of its end.
@@ -115,9 +125,11 @@ impl FrameInput {
         Ok(Self {
             service: service.to_owned(),
             format: settings.format,
+            is_recorded: settings.is_recorded,
             state: CameraState::NeverCame,
             counts: InputCounts::default(),
             session: None,
+            held: None,
             n_cameras: 0,
             unacknowledged_end: None,
             last_frame: None,
@@ -146,7 +158,14 @@ impl FrameInput {
             if let Some(event) = self.note_coming() {
                 return Ok(event);
             }
+            if let Some(sample) = self.held.take() {
+                return Ok(self.take(sample));
+            }
             if let Some(sample) = self.receive()? {
+                if self.is_of_successor(&sample) {
+                    self.held = Some(sample);
+                    return Ok(self.gone());
+                }
                 return Ok(self.take(sample));
             }
             if let Some(event) = self.note_going() {
@@ -157,7 +176,7 @@ impl FrameInput {
                 if self.state == CameraState::Sending {
                     self.state = CameraState::Silent;
                 }
-                return Ok(InputEvent::Timeout(self.state));
+                return Ok(InputEvent::Timeout { camera: self.state, silent_for: self.silent_for() });
             }
             // An interrupted wait is a reason to look again, as an event is.
             if self.listener.timed_wait(|_| (), left.min(LOOK_INTERVAL)).is_err() {
@@ -181,37 +200,14 @@ impl FrameInput {
         self.state
     }
 
-    /// One sentence for the operator: what the camera does, and what to try.
-    pub fn describe_state(&self) -> String {
-        let service = &self.service;
-        let silent_s = self.silent_for().as_secs_f64();
-        match self.state {
-            CameraState::NeverCame => format!(
-                "waiting for a camera at \"{service}\": none within {silent_s:.1} s; is the camera process running \
-                 with --service {service}?"
-            ),
-            CameraState::Sending => format!("the camera at \"{service}\" sends"),
-            CameraState::Silent => format!(
-                "the camera process at \"{service}\" lives but has sent nothing for {silent_s:.1} s; is it stopped, \
-                 or its cable loose?"
-            ),
-            CameraState::Gone => format!(
-                "the camera process at \"{service}\" is gone, last frame {silent_s:.1} s ago; waiting for it to be \
-                 started again"
-            ),
-            CameraState::Ended => format!("the camera at \"{service}\" ended its stream"),
-        }
-    }
-
-    /// Shared memory of the frame slots, by the settings of the service as it is.
-    pub fn shared_bytes(&self, frame_bytes: u64) -> u64 {
+    /// The frame slots of the service as it is; whoever made it decided.
+    pub fn slots(&self) -> FrameSlots {
         let settings = self.frames.static_config();
-        let slots = FrameSlots {
+        FrameSlots {
             subscribers: settings.max_subscribers(),
             buffered: settings.subscriber_max_buffer_size(),
             borrowed: settings.subscriber_max_borrowed_samples(),
-        };
-        slots.shared_bytes(frame_bytes)
+        }
     }
 
     fn receive(&mut self) -> Result<Option<Sample<Ipc, [FramePage], FrameHeader>>, IpcError> {
@@ -280,7 +276,10 @@ impl FrameInput {
     /// The session of this camera process; `None` while another one is alive.
     fn session_of(&mut self, camera: UniquePublisherId) -> Option<Session> {
         match self.session {
-            Some(session) if session.camera == camera => Some(session),
+            Some(mut session) if session.camera == camera => {
+                session.has_gone = false;
+                Some(session)
+            }
             Some(session) if !session.has_ended && self.is_alive(session.camera) => None,
             earlier => {
                 self.counts.n_restarts += u32::from(earlier.is_some());
@@ -302,11 +301,12 @@ impl FrameInput {
     }
 
     /// A camera process that starts anew may start its clock anew, and a clock may be set: times then go on after the
-    /// last one, by the time that passed here.
+    /// last one, by the time that passed here. The times of a recording stay as they are while they go on.
     fn continuous_time(&self, session: &mut Session, timestamp_ns: TimestampNs, is_new_clock: bool) -> TimestampNs {
         let is_anew = is_new_clock || session.previous.is_none();
+        let is_set = is_new_clock && !self.is_recorded;
         if let Some(last) = self.last_frame
-            && (is_new_clock || (is_anew && timestamp_ns <= last.timestamp_ns))
+            && (is_set || (is_anew && timestamp_ns <= last.timestamp_ns))
         {
             let passed_ns = last.arrived.elapsed().as_nanos().max(1) as u64;
             session.time_shift_ns = last.timestamp_ns.saturating_add(passed_ns).wrapping_sub(timestamp_ns);
@@ -337,8 +337,22 @@ impl FrameInput {
         if is_there {
             return None;
         }
+        Some(self.gone())
+    }
+
+    fn gone(&mut self) -> InputEvent<'static> {
         self.state = CameraState::Gone;
-        Some(InputEvent::CameraGone { silent_for: self.silent_for() })
+        if let Some(session) = &mut self.session {
+            session.has_gone = true;
+        }
+        InputEvent::CameraGone { silent_for: self.silent_for() }
+    }
+
+    /// Whether another camera process than that of the session sends, which nobody has seen going.
+    fn is_of_successor(&self, sample: &Sample<Ipc, [FramePage], FrameHeader>) -> bool {
+        let camera = sample.header().publisher_id();
+        let before = self.session.filter(|before| before.camera != camera && !before.has_ended && !before.has_gone);
+        before.is_some_and(|before| !self.is_alive(before.camera))
     }
 
     fn silent_for(&self) -> Duration {

@@ -9,6 +9,8 @@ pub(super) struct Session {
     pub(super) camera: UniquePublisherId,
     pub(super) previous: Option<PreviousFrame>,
     pub(super) has_ended: bool,
+    /// It was told that this process is gone.
+    pub(super) has_gone: bool,
     /// It was there before the tracker and may have been sending: its numbers do not tell how many frames were meant
     /// for this run.
     may_have_sent: bool,
@@ -30,7 +32,15 @@ pub(super) struct Judgement {
 
 impl Session {
     pub(super) fn new(camera: UniquePublisherId, may_have_sent: bool) -> Self {
-        Self { camera, previous: None, may_have_sent, has_ended: false, far_off: None, time_shift_ns: 0 }
+        Self {
+            camera,
+            previous: None,
+            may_have_sent,
+            has_ended: false,
+            has_gone: false,
+            far_off: None,
+            time_shift_ns: 0,
+        }
     }
 
     /// The verdict on a header. A single time or number far from the others is refused, lest it make all later ones go

@@ -130,20 +130,20 @@ impl OutputFolder {
         }
     }
 
-    /// Expands the trajectory with the keyframes' final places and closes all files.
+    /// Expands the trajectory with the keyframes' final places and closes all files; a file that cannot be written does
+    /// not keep the others from being.
     ///
     /// # Errors
     /// [`OutputError`] when the disk does not take it.
     pub fn finish(mut self) -> Result<TrajectorySummary, OutputError> {
-        self.frames_csv.finish()?;
-        self.odometry.finish()?;
+        let closed = self.frames_csv.finish().and(self.odometry.finish());
         let logs = [self.frame_log.path().to_owned(), self.keyframes.path().to_owned()];
         let mut frames = self.frame_log.into_reader()?;
         let summary = trajectory::expand(&self.dir, &mut frames, &mut self.keyframes)?;
         for log in &logs {
             std::fs::remove_file(log).map_err(OutputError::write(log))?;
         }
-        Ok(summary)
+        closed.map(|()| summary)
     }
 }
 

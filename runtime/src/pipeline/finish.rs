@@ -4,6 +4,7 @@ use super::mapping_thread::MappingSummary;
 use super::memory;
 use super::plan::RunPlan;
 use super::supervisor::Told;
+use super::tally::Tally;
 use crate::budget::{Row, Usage};
 use crate::map_store::MapStoreReader;
 use crate::output::report::{Backend, Mapping, Memory, Report, Time};
@@ -12,6 +13,7 @@ use crate::render_views::command::RenderError;
 use crate::render_views::{MapQuality, judge_map};
 use crate::run_error::RunError;
 use crate::seal;
+use crate::splat::Overflow;
 use crate::telemetry::MemoryWatch;
 use std::time::Instant;
 
@@ -28,18 +30,19 @@ pub struct Concluded {
     pub started: Instant,
 }
 
-/// Writes what is written once.
+/// Writes what is written once, all of it that can be: what is not known for a failure is null in the report.
 ///
 /// # Errors
-/// [`RunError`], last of all that the camera process failed: everything is written by then.
+/// [`RunError`] of what ended the drive, else of what could not be written or judged, else of the camera process.
 pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), RunError> {
     let Concluded { told, mapping, started } = drive;
+    let mut failures: Vec<RunError> = told.failure.into_iter().collect();
     let sealed = seal::report();
     let counts = told.folder.counts();
-    let trajectory = told.folder.finish()?;
+    let path_length_m = kept(told.folder.finish().map(|trajectory| trajectory.path_length_m), &mut failures);
     let (quality, pictures) = match &mapping {
-        Some(_) => judge(plan)?,
-        None => (MapQuality::default(), Vec::new()),
+        Some(_) => kept(judge(plan), &mut failures),
+        None => Default::default(),
     };
     let mut watch = told.watch;
     watch.read();
@@ -65,7 +68,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
             rss_slope_bytes_per_km: watch.rss_slope_bytes_per_km(),
             ..Memory::planned(&plan.memory, usage, plan.budget.host_bytes(), plan.budget.device_bytes())
         },
-        tracking: told.tally.tracking(trajectory.path_length_m),
+        tracking: told.tally.tracking(path_length_m),
         mapping: mapping.map_or_else(Mapping::default, |m| mapping_report(&m, &quality)),
         backend: Backend {
             kind: mapping.map(|_| plan.compute.kind().to_owned()),
@@ -75,21 +78,52 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
         },
         ..Report::default()
     };
-    report.write(&plan.out)?;
-    write_html(&plan.out, &report, told.tally.chart(), &pictures)?;
+    kept(report.write(&plan.out), &mut failures);
+    kept(write_html(&plan.out, &report, told.tally.chart(), &pictures), &mut failures);
     summarize(plan, &report);
+    warn_of_losses(mapping.as_ref(), &told.tally, &quality);
+    failures.extend(told.camera_failure);
+    let mut failures = failures.into_iter();
+    let first = failures.next();
+    // What ends the run is printed by main.
+    failures.for_each(|later| log::error!("{later}"));
+    first.map_or(Ok(()), Err)
+}
+
+/// What came of a step, or nothing and one failure more.
+fn kept<T: Default, E: Into<RunError>>(result: Result<T, E>, failures: &mut Vec<RunError>) -> T {
+    result.unwrap_or_else(|failure| {
+        failures.push(failure.into());
+        T::default()
+    })
+}
+
+/// What is missing in the outputs, where anything is.
+fn warn_of_losses(mapping: Option<&MappingSummary>, tally: &Tally, quality: &MapQuality) {
     let n_left_out = mapping.map_or(0, |m| m.n_images_left_out);
-    let n_keyframes_dropped = told.tally.n_keyframes_dropped();
+    let n_keyframes_dropped = tally.n_keyframes_dropped();
     if n_left_out + n_keyframes_dropped > 0 {
         log::warn!(
             "late: {n_keyframes_dropped} keyframes came while the mapper was busy, {n_left_out} images while the disk was"
         );
     }
-    let n_refused = mapping.map_or(0, |m| m.n_views_refused);
-    if n_refused > 0 {
-        log::warn!("{n_refused} views could not be used by the map, see above; it is without them");
+    let (input, viewer) = (tally.input(), &quality.viewer);
+    let Overflow { visible_gaussians, row_entries, pairs } = viewer.overflow;
+    let n_overflowed = [visible_gaussians, row_entries, pairs].map(u64::from).iter().sum::<u64>();
+    for (n, what) in [
+        (mapping.map_or(0, |m| m.n_views_refused), "views could not be used by the map, see above; it is without them"),
+        (input.n_connection_failures, "times the memory of a camera process could not be mapped"),
+        (input.n_ack_failures, "frames could not be acknowledged to the camera"),
+        (quality.views_skipped, "stored views have no usable image and are not in the figures"),
+        (viewer.pages_damaged, "pages of the map could not be read; what they held is missing in the figures"),
+        (viewer.anchors_left_out, "anchors of the map could not be shown and are missing in the figures"),
+        (n_overflowed, "elements of [splat] found no room while the map was judged; their renders are incomplete"),
+        (viewer.backgrounds_missing, "backgrounds of the map could not be read and were judged as grey"),
+    ] {
+        if n > 0 {
+            log::warn!("{n} {what}");
+        }
     }
-    told.camera_failure.map_or(Ok(()), Err)
 }
 
 /// Notes what is known only now.

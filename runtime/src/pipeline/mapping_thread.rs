@@ -37,6 +37,9 @@ pub struct MappingWork {
     row_bytes: usize,
     usage: Arc<Usage>,
     progress: Arc<MappingProgress>,
+    /// Views that the finished map can be opened with.
+    max_views: usize,
+    n_views: usize,
     n_images_left_out: u64,
     n_views_refused: u64,
     has_warned_of_steps: bool,
@@ -96,6 +99,8 @@ pub fn prepare(
         row_bytes: plan.pixel_format.row_bytes(plan.camera.width) as usize,
         usage: Arc::clone(usage),
         progress: Arc::clone(progress),
+        max_views: plan.budget.capacity(Row::StoreKeyframeTable),
+        n_views: 0,
         n_images_left_out: 0,
         n_views_refused: 0,
         has_warned_of_steps: false,
@@ -231,6 +236,10 @@ impl MappingWork {
             image_crc: 0,
         };
         let image = StoreImage { pixels: &job.pixels, stride_bytes: self.row_bytes };
+        self.n_views += 1;
+        if self.n_views > self.max_views {
+            self.usage.refuse(Row::StoreKeyframeTable, 1);
+        }
         match self.store.write_keyframe(&keyframe, image) {
             Ok(()) => {}
             Err(WriteRefusal::Busy) => {

@@ -1,6 +1,6 @@
 //! What the tracking thread tells the main thread; fixed size, so that telling takes no memory.
 
-use crate::input::InputCounts;
+use crate::input::{CameraState, InputCounts};
 use crate::output::StageTimes;
 use kilogs_camera::ipc::HeaderVerdict;
 use kilogs_core::tracking::FrameReport;
@@ -32,12 +32,19 @@ pub enum Record {
         /// How long ago its last frame arrived.
         silent_for: Duration,
     },
-    /// A living camera sends nothing, or none ever came.
-    CameraSilent,
+    /// Nothing happened for a while.
+    Waiting {
+        /// How the camera is.
+        camera: CameraState,
+        /// How long ago its last frame arrived.
+        silent_for: Duration,
+    },
     /// Nothing more will come.
     End {
         /// What came in.
         input: InputCounts,
+        /// How the camera is.
+        camera: CameraState,
         /// Index after the last frame, counting missing ones.
         n_frame_indices: u64,
         /// Keyframes that found no room on their way to the mapper.

@@ -1,7 +1,7 @@
 //! The main thread during a run: starts the others, writes what they tell, watches memory and camera.
 
 use super::finish::{self, Concluded};
-use super::mapping_thread::{self, MappingProgress, MappingSummary};
+use super::mapping_thread::{self, MappingProgress};
 use super::plan::RunPlan;
 use super::queue::{self, Received, Receiver};
 use super::record::Record;
@@ -9,7 +9,7 @@ use super::tally::{ScaleSource, Tally};
 use super::tracking_thread::TrackingThread;
 use super::{memory, odometry};
 use crate::budget::{Row, Usage};
-use crate::input::{CameraChild, CameraState, FrameInput, InputError, InputSettings};
+use crate::input::{CameraChild, CameraState, FrameInput, FrameSlots, InputError, InputSettings};
 use crate::output::{HealthPublisher, OutputFolder};
 use crate::run_error::RunError;
 use crate::seal;
@@ -26,6 +26,9 @@ const TRACE_VARIABLE: &str = "KILOGS_SEAL_TRACE";
 
 /// How long the thread waits for records before it looks after everything else.
 const LOOK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// A camera that sends nothing for so long is told.
+const LONG_SILENCE: Duration = Duration::from_secs(1);
 
 /// Exit code after a camera process that ended by a signal.
 const RUN_FAILED: u8 = 1;
@@ -59,14 +62,19 @@ pub fn supervise(
     let progress = Arc::new(MappingProgress::default());
     let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
-    let settings =
-        InputSettings { service: service.to_owned(), format: plan.service_format(), slots: plan.budget.frame_slots() };
+    let settings = InputSettings {
+        service: service.to_owned(),
+        format: plan.service_format(),
+        slots: plan.budget.frame_slots(),
+        is_recorded: !plan.is_live(),
+    };
     // Before the camera is started: whoever creates the service decides how many slots it has.
     let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;
+    check_slots(&settings, input.slots())?;
     let (odometry, poses) = queue::queue(odometry::CAPACITY);
     let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, usage: &usage, stop: &stop };
 
-    let (told, tracked, mapped) = std::thread::scope(|scope| {
+    let (mut told, tracked, mapped) = std::thread::scope(|scope| {
         let _ending = StopWhenDropped(&stop);
         let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
         let tracking = thread("tracking").spawn_scoped(scope, move || tracking.run(input)).map_err(spawn_failed)?;
@@ -78,19 +86,34 @@ pub fn supervise(
             thread("odometry").spawn_scoped(scope, move || odometry::publish(&poses)).map_err(spawn_failed)?;
         let child = start_camera().map_err(|e| RunError::Input(e.to_string()))?;
         let is_interrupted = is_interrupted.as_ref();
-        let shared = Shared { plan, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
+        let shared = Shared { plan, service, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
         let told = Supervisor::new(&shared, folder, child)?.run(&incoming);
-        if told.is_err() {
+        if told.failure.is_some() {
             stop.store(true, Ordering::Relaxed);
         }
         drop(incoming);
         let tracked = join(tracking, "tracking").and(join(publishing, "odometry"));
         Ok::<_, RunError>((told, tracked, mapping.map(|thread| join(thread, "mapping"))))
     })?;
-    let told = told?;
-    tracked?;
-    let mapping: Option<MappingSummary> = mapped.transpose()?;
+    let (mapping, mapping_failure) = match mapped.transpose() {
+        Ok(mapping) => (mapping, None),
+        Err(failure) => (None, Some(failure)),
+    };
+    // What failed first made the others fail.
+    told.failure = told.failure.take().or(mapping_failure).or(tracked.err());
     finish::conclude(plan, &usage, Concluded { told, mapping, started })
+}
+
+/// The budget holds what it says: a service that is there already has the slots that its maker gave it.
+fn check_slots(settings: &InputSettings, found: FrameSlots) -> Result<(), RunError> {
+    let (service, n_found, n_planned) = (&settings.service, found.n_slots(), settings.slots.n_slots());
+    if n_found <= n_planned {
+        return Ok(());
+    }
+    Err(RunError::Usage(format!(
+        "attaching to \"{service}\": it was made with {n_found} frame slots, and [ipc.frame_slots] plans for {n_planned}; \
+         start kilogs before the camera, or set its capacity to {n_found}"
+    )))
 }
 
 /// The scope waits for its threads whichever way it is left: they have to be told that it is over.
@@ -120,6 +143,8 @@ pub struct Told {
     pub tally: Tally,
     /// Resident sizes.
     pub watch: MemoryWatch,
+    /// What ended the drive before its time.
+    pub failure: Option<RunError>,
     /// Why the camera process failed, if it did.
     pub camera_failure: Option<RunError>,
 }
@@ -128,6 +153,7 @@ pub struct Told {
 #[derive(Clone, Copy)]
 struct Shared<'run> {
     plan: &'run RunPlan,
+    service: &'run str,
     stop: &'run AtomicBool,
     is_interrupted: &'run AtomicBool,
     usage: &'run Usage,
@@ -137,6 +163,7 @@ struct Shared<'run> {
 
 struct Supervisor<'run> {
     plan: &'run RunPlan,
+    service: &'run str,
     folder: OutputFolder,
     child: Option<CameraChild>,
     stop: &'run AtomicBool,
@@ -157,7 +184,7 @@ struct Supervisor<'run> {
 
 impl<'run> Supervisor<'run> {
     fn new(shared: &Shared<'run>, folder: OutputFolder, child: Option<CameraChild>) -> Result<Self, RunError> {
-        let Shared { plan, stop, is_interrupted, usage, progress, started } = *shared;
+        let Shared { plan, service, stop, is_interrupted, usage, progress, started } = *shared;
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
@@ -165,6 +192,7 @@ impl<'run> Supervisor<'run> {
         let tally = Tally::with_scale_source(scale_source);
         Ok(Self {
             plan,
+            service,
             folder,
             child,
             stop,
@@ -184,30 +212,37 @@ impl<'run> Supervisor<'run> {
         })
     }
 
-    fn run(mut self, incoming: &Receiver<Record>) -> Result<Told, RunError> {
+    /// Until nothing more comes, or something could not be written.
+    fn run(mut self, incoming: &Receiver<Record>) -> Told {
+        let listened = self.listen(incoming);
+        self.watch.read();
+        self.publish_health();
+        self.usage.observe(Row::TelemetryFrameRecords, incoming.most_waiting());
+        self.bar.finish_and_clear();
+        // A camera that was left alone by Ctrl-C, or by a run that failed, has done nothing wrong.
+        let is_left_alone = self.is_interrupted.load(Ordering::Relaxed) || listened.is_err();
+        let child = self.child.as_mut().filter(|_| !is_left_alone);
+        let camera_failure = child.and_then(camera_failure);
+        Told { folder: self.folder, tally: self.tally, watch: self.watch, failure: listened.err(), camera_failure }
+    }
+
+    fn listen(&mut self, incoming: &Receiver<Record>) -> Result<(), RunError> {
         loop {
             match incoming.pop_within(LOOK_INTERVAL) {
-                Received::Element(Record::End { input, n_frame_indices, n_keyframes_dropped }) => {
+                Received::Element(Record::End { input, camera, n_frame_indices, n_keyframes_dropped }) => {
+                    self.camera_state = camera;
                     self.missing_until(n_frame_indices)?;
                     self.tally.end(input, n_keyframes_dropped);
-                    break;
+                    return Ok(());
                 }
                 Received::Element(record) => self.record(&record)?,
                 Received::Empty => {}
-                Received::Closed => break,
+                Received::Closed => return Ok(()),
             }
             if self.watch.sample(Instant::now(), self.tally.odometry_length_m()) {
                 self.publish_health();
             }
         }
-        self.watch.read();
-        self.publish_health();
-        self.usage.observe(Row::TelemetryFrameRecords, incoming.most_waiting());
-        self.bar.finish_and_clear();
-        // A camera that was left alone by Ctrl-C has done nothing wrong.
-        let is_interrupted = self.is_interrupted.load(Ordering::Relaxed);
-        let camera_failure = self.child.as_mut().and_then(camera_failure).filter(|_| !is_interrupted);
-        Ok(Told { folder: self.folder, tally: self.tally, watch: self.watch, camera_failure })
     }
 
     fn record(&mut self, record: &Record) -> Result<(), RunError> {
@@ -228,7 +263,7 @@ impl<'run> Supervisor<'run> {
             }
             Record::CameraCame { is_first } => self.camera_came(*is_first),
             Record::CameraGone { silent_for } => self.camera_gone(*silent_for),
-            Record::CameraSilent => self.camera_silent(),
+            Record::Waiting { camera, silent_for } => self.waiting(*camera, *silent_for),
             Record::End { .. } => {}
         }
         Ok(())
@@ -282,6 +317,7 @@ impl<'run> Supervisor<'run> {
 
     fn camera_came(&mut self, is_first: bool) {
         self.camera_state = CameraState::Silent;
+        self.is_silence_told = false;
         if is_first {
             log::info!("the camera is there");
         } else {
@@ -297,18 +333,17 @@ impl<'run> Supervisor<'run> {
             self.stop.store(true, Ordering::Relaxed);
             return;
         }
-        let silent_s = silent_for.as_secs_f64();
-        log::warn!(
-            "the camera process is gone, last frame {silent_s:.1} s ago; waiting for it to be started again (Ctrl-C ends the run)"
-        );
+        log::warn!("{}; Ctrl-C ends the run", CameraState::Gone.describe(self.service, silent_for));
+        self.is_silence_told = true;
     }
 
-    fn camera_silent(&mut self) {
-        let has_failed = self.child.as_mut().is_some_and(|child| child.exit_status().is_some());
-        if has_failed {
+    fn waiting(&mut self, camera: CameraState, silent_for: Duration) {
+        self.camera_state = camera;
+        let has_ended = self.child.as_mut().is_some_and(|child| child.exit_status().is_some());
+        if has_ended {
             self.stop.store(true, Ordering::Relaxed);
-        } else if !self.is_silence_told && self.child.is_none() {
-            log::info!("waiting for camera frames (Ctrl-C ends the run)");
+        } else if !self.is_silence_told && silent_for >= LONG_SILENCE {
+            log::info!("{}; Ctrl-C ends the run", camera.describe(self.service, silent_for));
             self.is_silence_told = true;
         }
     }

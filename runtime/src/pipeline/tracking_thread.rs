@@ -85,7 +85,7 @@ impl TrackingThread<'_> {
                     state.slots.forget();
                     self.tell(Record::CameraGone { silent_for });
                 }
-                InputEvent::Timeout(_) => self.tell(Record::CameraSilent),
+                InputEvent::Timeout { camera, silent_for } => self.tell(Record::Waiting { camera, silent_for }),
                 InputEvent::End => break,
             }
         }
@@ -94,7 +94,7 @@ impl TrackingThread<'_> {
         let n_keyframes_dropped = self.mapper.as_ref().map_or(0, MapperLink::n_dropped);
         let n_frame_indices = input.n_frame_indices();
         // The last record is worth waiting for.
-        let end = Record::End { input: counts, n_frame_indices, n_keyframes_dropped };
+        let end = Record::End { input: counts, camera: input.camera_state(), n_frame_indices, n_keyframes_dropped };
         self.records
             .push(end)
             .map_err(|_| RunError::Run("handing over the last record: the main thread is gone".to_owned()))

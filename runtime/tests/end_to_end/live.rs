@@ -44,8 +44,8 @@ fn a_camera_may_die_and_come_back() {
         std::thread::sleep(SOME_FRAMES);
         let killed = SystemTime::now();
         camera.kill();
-        run.wait_for("the camera process is gone", attempt);
-        told_after.push(run.said_after(killed, "the camera process is gone"));
+        run.wait_for("is gone, last frame", attempt);
+        told_after.push(run.said_after(killed, "is gone, last frame"));
         camera = start_camera(&drive, &service);
         let back_after = run.wait_for("the camera is back", attempt);
         println!("a camera that is back is told after {:.2} s", back_after.as_secs_f64());
@@ -76,7 +76,7 @@ fn a_camera_may_die_and_come_back() {
 fn a_run_without_any_camera_waits_and_can_be_ended() {
     let (drive, out) = (Drive::new(3.0), tempfile::tempdir().expect("a folder"));
     let mut run = start_run(&drive, &service_name("none"), out.path());
-    run.wait_for("waiting for camera frames", 1);
+    run.wait_for("waiting for a camera at", 1);
     run.interrupt();
     let ended = run.wait();
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);

@@ -162,3 +162,33 @@ fn a_budget_that_cannot_be_kept_is_refused() {
     refused("[total]", "[total", "not valid TOML");
     check_drive(&good, |_| (), &["--budget", "no_such.toml"], 2, "give another with --budget FILE");
 }
+
+/// A run that fails with `code` and says `text`; it leaves its trajectory and a report without figures of the map.
+fn check_outputs_in_spite(drive: &Drive, out: &Path, options: &[&str], code: i32, text: &str) -> serde_json::Value {
+    let words = ["replay", &word(drive.path()), "--out", &word(out), "--iterations", "1"];
+    check(&[&words, options].concat(), code, text);
+    let trajectory = std::fs::read_to_string(out.join("trajectory_tum.txt")).expect("a trajectory");
+    assert!(trajectory.lines().count() > 0, "{text}: {trajectory}");
+    assert!(out.join("report.html").exists(), "{text}");
+    json(&out.join("report.json"))
+}
+
+#[test]
+fn a_run_that_fails_at_the_end_leaves_what_it_has() {
+    // More views than the smallest table holds.
+    let (drive, folder) = (Drive::new(90.0), TempDir::new().expect("a folder"));
+    let [small, full] = ["small", "full"].map(|name| folder.path().join(name));
+
+    let budget = folder.path().join("budget.toml");
+    let row = "[store.keyframe_table]\ncapacity = 32768";
+    assert!(BUDGET.contains(row));
+    write(&budget, BUDGET.replacen(row, "[store.keyframe_table]\ncapacity = 64", 1));
+    let options = ["--budget", &word(&budget)];
+    let report = check_outputs_in_spite(&drive, &small, &options, 5, "[store.keyframe_table]");
+    assert_eq!(report.pointer("/mapping/psnr_train_db"), Some(&serde_json::Value::Null), "{report}");
+    assert!(count(&report, "/memory/refusals") > 0 && count(&report, "/mapping/gaussians") > 0, "{report}");
+
+    std::fs::create_dir(&full).expect("a folder");
+    std::os::unix::fs::symlink("/dev/full", full.join("frames.csv")).expect("a link");
+    check_outputs_in_spite(&drive, &full, &[], 1, "frames.csv");
+}
