@@ -35,4 +35,3 @@ pub mod store;
 
 pub mod camera;
 pub mod math;
-pub mod storage;

@@ -70,6 +70,15 @@ impl From<kilogs_camera::cli::CameraError> for RunError {
     }
 }
 
+impl From<kilogs_eval::EvalError> for RunError {
+    fn from(error: kilogs_eval::EvalError) -> Self {
+        match error {
+            kilogs_eval::EvalError::Unwritable { .. } => Self::Run(error.to_string()),
+            _ => Self::Input(error.to_string()),
+        }
+    }
+}
+
 impl From<&RunError> for ExitCode {
     fn from(error: &RunError) -> Self {
         Self::from(error.code())

@@ -14,7 +14,7 @@ pub use storage::{
     BYTES_PER_LANDMARK, BYTES_PER_TRACK, N_PYRAMIDS, TrackerCapacities, TrackerFill, TrackerStorage,
     TrackerStorageProblem,
 };
-pub use tracker::Tracker;
+pub use tracker::{PYRAMID_LEVELS, Tracker};
 
 use crate::conventions::{Rigid, TimestampNs};
 use nalgebra::Matrix6;

@@ -21,7 +21,7 @@ use core::fmt;
 use nalgebra::{Vector3, Vector6};
 
 /// Levels of every pyramid, the full image included.
-pub(super) const PYRAMID_LEVELS: usize = 4;
+pub const PYRAMID_LEVELS: usize = 4;
 /// Prediction does not coast for longer than this, s.
 pub(super) const MAX_COAST_S: f64 = 1.0;
 /// Nanoseconds per second.

@@ -5,7 +5,7 @@ use super::replay::DEFAULT_ITERATIONS;
 use crate::input::CameraChild;
 use crate::pipeline::{self, Pace, RunPlan};
 use crate::run_error::RunError;
-use kilogs_camera::sim::{SimArgs, Simulator};
+use kilogs_camera::sim::{SimArgs, Simulator, parse_length};
 use kilogs_camera::source::FrameSource;
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     pub out: PathBuf,
     /// Length of the simulated drive, m.
-    #[arg(long, value_name = "METRES", default_value_t = 320.0)]
+    #[arg(long, value_name = "METRES", default_value_t = 320.0, value_parser = parse_length)]
     pub length: f64,
     /// Mapping iterations per keyframe.
     #[arg(long, default_value_t = DEFAULT_ITERATIONS, value_name = "N")]
@@ -44,5 +44,5 @@ pub fn run(args: &DemoArgs) -> Result<(), RunError> {
         CameraChild::start(words)
     })?;
     let judged = kilogs_eval::EvalArgs { dir: args.out.clone(), gt: truth.join("poses.txt"), dataset: None };
-    kilogs_eval::run(&judged).map_err(|e| RunError::Run(e.to_string()))
+    Ok(kilogs_eval::run(&judged)?)
 }

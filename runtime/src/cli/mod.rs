@@ -79,7 +79,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Replay(args) => replay::run(args),
         Command::Run(args) => run::run(args),
         Command::Fit(args) => fit::run(args),
-        Command::Eval(args) => kilogs_eval::run(args).map_err(|e| RunError::Input(e.to_string())),
+        Command::Eval(args) => Ok(kilogs_eval::run(args)?),
         Command::Render(command) => map_commands::render(command),
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {

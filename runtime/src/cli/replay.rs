@@ -69,14 +69,15 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let pace = if args.live { Pace::Live } else { Pace::LockStep { iterations: args.iterations } };
     let mut plan = RunPlan::new(&args.common, description.format, pace, &args.out)?;
     plan.may_reverse = args.ping_pong > 1;
-    plan.given_poses = args.poses.as_deref().map(|poses| given_poses(args, poses, &description)).transpose()?;
+    let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
+    let schedule = Schedule::new(description.images.len() as u64, &range)?;
+    plan.n_frames = Some(schedule.n_steps());
+    plan.given_poses = args.poses.as_deref().map(|poses| given_poses(poses, &schedule, &description)).transpose()?;
     pipeline::run_with_child(plan, |service| CameraChild::start(camera_arguments(args, service)))
 }
 
 /// The pose of every frame that the capture process will send.
-fn given_poses(args: &ReplayArgs, poses: &Path, description: &CameraDescription) -> Result<GivenPoses, RunError> {
-    let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
-    let schedule = Schedule::new(description.images.len() as u64, &range)?;
+fn given_poses(poses: &Path, schedule: &Schedule, description: &CameraDescription) -> Result<GivenPoses, RunError> {
     let images: Vec<usize> = (0..schedule.n_steps()).map(|step| schedule.frame_index(step) as usize).collect();
     let n_needed = images.iter().max().map_or(0, |last| last + 1);
     let world_from_camera = poses_of(poses, &description.images, n_needed)?;

@@ -4,7 +4,7 @@ use super::schema::{Kind, Range, Scalar, Setting};
 use crate::mapping::MAX_OLDER_VIEWS;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
-use kilogs_core::tracking::{DynamicFilter, PoseModels};
+use kilogs_core::tracking::{DynamicFilter, PYRAMID_LEVELS, PoseModels};
 
 macro_rules! number {
     ($key:literal, $range:expr, $($field:tt)+) => {
@@ -70,7 +70,7 @@ pub(super) const SETTINGS: &[Setting] = &[
             put: |settings, _| settings.tracking.matcher = Matcher::Classical,
         },
     },
-    whole!("tracking.lk_levels", Range::closed(1.0, 6.0), tracking.tracker.tracks.lk.n_levels),
+    whole!("tracking.lk_levels", Range::closed(1.0, PYRAMID_LEVELS as f64), tracking.tracker.tracks.lk.n_levels),
     whole!("tracking.lk_max_steps", Range::closed(1.0, 100.0), tracking.tracker.tracks.lk.max_steps),
     number!("tracking.lk_min_eigenvalue", Range::closed(0.0, 1000.0), tracking.tracker.tracks.lk.min_eigenvalue),
     number!("tracking.lk_min_correlation", Range::closed(-1.0, 1.0), tracking.tracker.tracks.lk.min_correlation),

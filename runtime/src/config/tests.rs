@@ -1,6 +1,6 @@
 //! Defaults, files and single values, and what is refused of them.
 
-use super::schema::Kind;
+use super::schema::{Kind, Setting};
 use super::table::SETTINGS;
 use super::*;
 use kilogs_core::tracking::{DynamicFilter, PoseModels};
@@ -143,19 +143,38 @@ fn the_defaults_are_the_values_that_the_stages_were_measured_with() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Which lines of the settings, written out, a number changes.
+fn changed_lines(setting: &Setting) -> Vec<usize> {
+    let values = match &setting.kind {
+        Kind::Number { .. } => (0..160).map(|i| toml::Value::Float(0.0007 * 1.1_f64.powi(i))).collect::<Vec<_>>(),
+        Kind::Whole { .. } => (1..1000).map(toml::Value::Integer).collect(),
+        Kind::Choice { .. } | Kind::Switch { .. } => return Vec::new(),
+    };
+    let measured = Settings::measured();
+    let changed = values.iter().find_map(|value| {
+        let mut settings = measured.clone();
+        (setting.put(&mut settings, value).is_ok() && settings != measured).then_some(settings)
+    });
+    let written = [format!("{measured:#?}"), format!("{:#?}", changed.unwrap_or_else(|| measured.clone()))];
+    let [before, after] = &written;
+    before
+        .lines()
+        .zip(after.lines())
+        .enumerate()
+        .filter(|(_, (before, after))| before != after)
+        .map(|(n, _)| n)
+        .collect()
+}
+
 #[test]
 fn every_number_reaches_its_own_field() {
-    let measured = Settings::measured();
-    for setting in SETTINGS {
-        let value = match &setting.kind {
-            Kind::Number { .. } => (0..160).map(|i| toml::Value::Float(0.0007 * 1.1_f64.powi(i))).collect::<Vec<_>>(),
-            Kind::Whole { .. } => (1..1000).map(toml::Value::Integer).collect(),
-            Kind::Choice { .. } | Kind::Switch { .. } => continue,
-        };
-        let changed = value.iter().any(|value| {
-            let mut settings = measured.clone();
-            setting.put(&mut settings, value).is_ok() && settings != measured
-        });
-        assert!(changed, "{} changes nothing", setting.key);
+    let mut owners = std::collections::BTreeMap::new();
+    for setting in SETTINGS.iter().filter(|s| matches!(s.kind, Kind::Number { .. } | Kind::Whole { .. })) {
+        let lines = changed_lines(setting);
+        assert!(!lines.is_empty(), "{} changes nothing", setting.key);
+        for line in lines {
+            let other = owners.insert(line, setting.key);
+            assert_eq!(other, None, "{} changes what another setting does", setting.key);
+        }
     }
 }

@@ -9,7 +9,6 @@ use super::InputError;
 /// A camera process that ends with its owner.
 pub struct CameraChild {
     child: Child,
-    rss_peak_bytes: u64,
     status: Option<ExitStatus>,
 }
 
@@ -27,19 +26,12 @@ impl CameraChild {
             .stdout(Stdio::null())
             .spawn()
             .map_err(failed(program.display().to_string()))?;
-        Ok(Self { child, rss_peak_bytes: 0, status: None })
+        Ok(Self { child, status: None })
     }
 
     /// Process number.
     pub fn id(&self) -> u32 {
         self.child.id()
-    }
-
-    /// The most resident memory it was seen with; call it now and then, because nothing can be read of an ended one.
-    pub fn rss_peak_bytes(&mut self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
-        self.rss_peak_bytes = self.rss_peak_bytes.max(peak_rss_bytes(&status).unwrap_or(0));
-        self.rss_peak_bytes
     }
 
     /// How it ended, `None` while it runs.
@@ -66,23 +58,5 @@ impl Drop for CameraChild {
         if self.exit_status().is_none() && (self.child.kill().is_err() || self.child.wait().is_err()) {
             log::warn!("the camera process {} could not be ended", self.child.id());
         }
-    }
-}
-
-/// `VmHWM` out of a `/proc/<pid>/status`.
-fn peak_rss_bytes(status: &str) -> Option<u64> {
-    const BYTES_PER_KIB: u64 = 1024;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.trim().strip_suffix(" kB")?.parse::<u64>().ok()? * BYTES_PER_KIB)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_peak_is_read_from_the_status() {
-        assert_eq!(peak_rss_bytes("Name:\tx\nVmPeak:\t 9 kB\nVmHWM:\t   1234 kB\n"), Some(1234 * 1024));
-        assert_eq!(peak_rss_bytes("Name:\tx\n"), None);
     }
 }

@@ -31,7 +31,7 @@ pub use folder::{FrameCounts, OutputFolder};
 pub use histogram::Histogram;
 pub use html::write_html;
 pub use publish::{HealthPublisher, MessagePublisher, OdometryPublisher};
-pub use renders::{Picture, RenderedKeyframe, quantized, write_render};
+pub use renders::{Picture, RenderedKeyframe, write_render};
 pub use report::Report;
 pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
 pub use trajectory::TrajectorySummary;

@@ -1,4 +1,4 @@
-//! Odometry per frame and health per second, for whoever listens; published by the telemetry thread.
+//! Odometry per frame and health per second, for whoever listens; published by the odometry and the main thread.
 
 use std::fmt::Debug;
 

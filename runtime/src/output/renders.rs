@@ -82,11 +82,6 @@ fn write_jpeg(path: &Path, picture: Picture<'_>) -> io::Result<()> {
     writer.flush()
 }
 
-/// Rendered values in [0, 1] as bytes; what lies outside is clamped.
-pub fn quantized(rendered: &[f32]) -> Vec<u8> {
-    rendered.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -98,8 +93,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let ramp: Vec<u8> = (0..64 * 32).map(|k| (k % 64 * 4) as u8).collect();
         let camera = Picture { bytes: &ramp, width: 64, height: 32, channels: 1 };
-        let colors = quantized(&[1.5, 0.25, -0.1].repeat(64 * 32));
-        assert_eq!(colors[..3], [255, 64, 0]);
+        let colors = [255, 64, 0].repeat(64 * 32);
         let render = Picture { bytes: &colors, width: 64, height: 32, channels: 3 };
         let written = write_render(dir.path(), 42, 7, QUALITY, camera, render).expect("written");
         assert!(written.camera_file.ends_with("renders/000042_camera.jpg"));

@@ -178,7 +178,7 @@ pub struct Tracking {
     pub pnp: u64,
     /// Frames with a pose from dense matches.
     pub dense_fallback: u64,
-    /// Frames whose first pose was rejected by motion verification.
+    /// Frames that motion verification left without a pose.
     pub anomalies: u64,
     /// Where metres come from.
     pub scale_source: Option<String>,

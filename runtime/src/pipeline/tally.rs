@@ -3,7 +3,7 @@
 use crate::input::InputCounts;
 use crate::output::report::{Percentiles, Tracking};
 use crate::output::{DriveChart, Histogram, Stage, StageTimes};
-use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel};
+use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
 use nalgebra::Vector3;
 
 /// Figures of a run.
@@ -46,8 +46,11 @@ impl Tally {
         self.per_frame.push(f64::from(own_ms));
         self.tracking.push(f64::from(times.ms(Stage::Tracking)));
         self.chart.push(times, rss_bytes);
+        let is_rejected =
+            matches!(report.reason, StatusReason::TurnsTooFast | StatusReason::SlipsSideways | StatusReason::TooFast);
+        self.anomalies += u64::from(is_rejected);
         match (report.status, report.model) {
-            (FrameStatus::Doubtful, _) => self.anomalies += 1,
+            (FrameStatus::Doubtful, _) => {}
             (_, PoseModel::Essential) => self.essential += 1,
             (_, PoseModel::Pnp) => self.pnp += 1,
             (_, PoseModel::Dense) => self.dense += 1,

@@ -1,7 +1,7 @@
 //! `kilogs render`: views of a stored map along a trajectory.
 
 pub use super::viewer::{RenderError, ViewRefused};
-use super::{MapViewer, Picture, samples};
+use super::{MapViewer, Picture};
 use crate::export::map_folder;
 use crate::map_store::MapStoreReader;
 use crate::splat::{Overflow, SplatBackend};
@@ -54,7 +54,9 @@ pub fn run(args: &RenderArgs, map: &MapStoreReader, backend: &mut dyn SplatBacke
         viewer
             .render(&pose.world_from_camera, &camera, chunk_id, &mut picture)
             .map_err(|source| RenderError::Refused { width: camera.width, height: camera.height, source })?;
-        samples::save(&args.out.join(format!("{n_written:06}.png")), &picture.to_image())?;
+        let path = args.out.join(format!("{n_written:06}.png"));
+        let saved = picture.to_image().save(&path);
+        saved.map_err(|source| RenderError::Write { path, reason: source.to_string() })?;
         n_written += 1;
         bar.inc(1);
     }

@@ -1,21 +1,18 @@
 //! Pictures of a stored map: pages come from disk as the camera moves, within the backend's fixed capacity.
 //!
 //! [`MapViewer`] keeps the pages nearest to the camera in the backend. [`judge_map`] walks along the stored
-//! keyframes and held-out views and compares; [`command`] is `kilogs render`; [`RenderSamples`] puts some
-//! camera images beside their renders.
+//! keyframes and held-out views and compares; [`command`] is `kilogs render`.
 
 pub mod command;
 mod judge;
 mod picture;
 mod residency;
 mod row_table;
-mod samples;
 mod selection;
 mod viewer;
 
 pub use judge::{JudgedView, MapQuality, judge_map};
 pub use picture::Picture;
-pub use samples::RenderSamples;
 pub use viewer::{MapViewer, ViewerCounts};
 
 #[cfg(test)]

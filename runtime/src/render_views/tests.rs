@@ -223,18 +223,6 @@ fn a_view_without_its_image_is_skipped_and_counted() {
 }
 
 #[test]
-fn samples_are_spread_over_the_drive_and_show_both_pictures() {
-    let (scratch, map) = scratch_map(PixelFormat::Rgb8);
-    let folder = scratch.path().join("renders");
-    let mut samples = RenderSamples::create(&folder, map.keyframes().len(), 2).expect("a folder");
-    judge_map(&map, &mut StubBackend::new(100, 9, 2), &mut |view| samples.observe(view)).expect("judged");
-    assert_eq!(samples.files(), [folder.join("000004.png"), folder.join("000016.png")]);
-    let both = image::open(&samples.files()[0]).expect("a picture").to_rgb8();
-    assert_eq!(both.dimensions(), (2 * WIDTH, HEIGHT));
-    assert!(both.get_pixel(3, 3).0[0].abs_diff(128) <= 2 && both.get_pixel(WIDTH + 3, 3).0[0] == 64);
-}
-
-#[test]
 fn the_command_renders_every_pose_and_refuses_what_it_cannot() {
     let (scratch, map) = scratch_map(PixelFormat::Rgb8);
     let trajectory = scratch.path().join("poses.txt");

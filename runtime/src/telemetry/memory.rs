@@ -92,11 +92,6 @@ impl MemoryWatch {
         }
     }
 
-    /// A capture process that was restarted has a new number.
-    pub fn set_camera_pid(&mut self, pid: Option<u32>) {
-        self.camera_pid = pid;
-    }
-
     /// This process.
     pub fn own(&self) -> ProcessMemory {
         self.own

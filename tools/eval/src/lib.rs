@@ -18,5 +18,5 @@ pub mod image_quality;
 
 pub mod command;
 
-pub use command::{EvalArgs, run};
+pub use command::{EvalArgs, EvalError, run};
 pub use image_quality::{ImageQuality, ImageQualityMeter};

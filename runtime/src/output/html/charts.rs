@@ -34,11 +34,10 @@ const STAGES: [RGBColor; N_STAGES] = [
     RGBColor(0x93, 0x93, 0x93),
     RGBColor(0x94, 0x94, 0x94),
     RGBColor(0x95, 0x95, 0x95),
-    RGBColor(0x96, 0x96, 0x96),
 ];
 
 /// Classes of the stages' legend entries, in the order of the stages.
-pub(super) const STAGE_CLASSES: [&str; N_STAGES] = ["stage0", "stage1", "stage2", "stage3", "stage4", "stage5"];
+pub(super) const STAGE_CLASSES: [&str; N_STAGES] = ["stage0", "stage1", "stage2", "stage3", "stage4"];
 
 /// Columns of the time chart: few enough that keyframes and the frames between them are averaged.
 const TIME_COLUMNS: usize = 64;
@@ -274,7 +273,7 @@ mod tests {
         let buckets: Vec<_> = (0..130).map(|k| bucket(2, f64::from(k % 3))).collect();
         let columns = merged_columns(&buckets);
         assert_eq!((columns.len(), columns[43].to_frame), (44, 260.0));
-        assert_eq!((columns[0].until_stage_ms[0], columns[0].until_stage_ms[N_STAGES - 1]), (1.0, 6.0));
+        assert_eq!((columns[0].until_stage_ms[0], columns[0].until_stage_ms[N_STAGES - 1]), (1.0, 5.0));
         assert_eq!(columns[1].from_frame, columns[0].to_frame);
     }
 

@@ -19,7 +19,7 @@ fn page_of(report: &Report, n_frames: u64, n_pictures: u64) -> String {
         times.add(Stage::Tracking, 20.0 + (k % 7) as f32);
         if k % 4 == 0 {
             times.add(Stage::Mapping, 150.0);
-            times.add(Stage::Depth, 12.0);
+            times.add(Stage::Insertion, 12.0);
         }
         chart.push(&times, 300_000_000 + k * 1000);
     }

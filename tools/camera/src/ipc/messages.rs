@@ -127,19 +127,19 @@ pub struct HealthMessage {
     pub ipc_bytes: u64,
     /// Size of the map store on disk.
     pub store_bytes: u64,
-    /// Frames that arrived and could be used.
+    /// Frames that arrived and could be used, or are known to be missing.
     pub frames_received: u64,
     /// Of these: tracked.
     pub frames_tracked: u64,
-    /// Of these: tracked, but doubtful.
+    /// Of these: with a predicted pose.
     pub frames_doubtful: u64,
     /// Of these: lost.
     pub frames_lost: u64,
-    /// Of these: not processed for want of time.
+    /// Of these: never reached the tracker.
     pub frames_dropped: u64,
     /// Frames whose header was refused.
     pub frames_refused: u64,
-    /// Frames that were overwritten or never sent, by their sequence numbers.
+    /// The same as `frames_dropped`: overwritten or never sent, by their sequence numbers.
     pub frames_missing: u64,
     /// Heap allocations on a sealed thread.
     pub sealed_allocations: u64,
@@ -147,7 +147,7 @@ pub struct HealthMessage {
     pub refusals: u64,
     /// Anchors in memory.
     pub anchors_resident: u64,
-    /// Median tracking time of the last second, ms.
+    /// Median tracking time since the start, ms.
     pub tracking_p50_ms: f32,
     /// 95th percentile, ms.
     pub tracking_p95_ms: f32,

@@ -34,7 +34,7 @@ pub struct SimArgs {
     #[arg(long, value_name = "POSES")]
     pub path: Option<PathBuf>,
     /// Length of a generated drive, m.
-    #[arg(long, default_value_t = 320.0, value_name = "METRES", value_parser = positive)]
+    #[arg(long, default_value_t = 320.0, value_name = "METRES", value_parser = parse_length)]
     pub length: f64,
     /// Leave out this many frames at the beginning of the drive; times and town stay as they are.
     #[arg(long, default_value_t = 0, value_name = "N")]
@@ -81,6 +81,18 @@ fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err(format!("\"{text}\" is not a number above 0")),
+    }
+}
+
+/// Reads the length of a drive, m: what is laid out before the first frame has to have an end.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn parse_length(text: &str) -> Result<f64, String> {
+    const LONGEST_M: f64 = 100_000.0;
+    match positive(text)? {
+        length_m if length_m <= LONGEST_M => Ok(length_m),
+        length_m => Err(format!("{length_m} m is more than the longest drive, {LONGEST_M} m")),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The simulator's truth on disk, in the layout of KITTI odometry.
 
-use super::{SimArgs, SimError, Simulator};
+use super::{CAMERA_HEIGHT_M, SimArgs, SimError, Simulator};
 use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
 use std::fs::{File, create_dir_all};
@@ -31,9 +31,11 @@ impl TruthWriter {
         let (cx, cy) = (camera.cx - 0.5, camera.cy - 0.5);
         let row = format!("P0: {} 0 {cx} 0 0 {} {cy} 0 0 0 1 0\n", camera.fx, camera.fy);
         write_text(&folder.join("calib.txt"), &row)?;
-        let mounting = "height_m = 1.65\npitch_rad = 0.0\nroll_rad = 0.0\n\
-                        forward_axis = [0.0, 0.0, 1.0]\nlever_arm_m = [0.0, 0.0, 0.0]\n";
-        write_text(&folder.join("camera.toml"), mounting)?;
+        let mounting = format!(
+            "height_m = {CAMERA_HEIGHT_M}\npitch_rad = 0.0\nroll_rad = 0.0\nforward_axis = [0.0, 0.0, 1.0]\n\
+             lever_arm_m = [0.0, 0.0, 0.0]\n"
+        );
+        write_text(&folder.join("camera.toml"), &mounting)?;
         let open = |name: &str| {
             let path = folder.join(name);
             File::create(&path).map(BufWriter::new).map_err(|e| problem(&path, &e))

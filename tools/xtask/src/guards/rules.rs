@@ -7,10 +7,9 @@ use std::path::Path;
 const MAX_LINES: usize = 400;
 
 /// Where `unsafe` may stand, and why.
-const UNSAFE_PLACES: [(&str, &str); 6] = [
+const UNSAFE_PLACES: [(&str, &str); 5] = [
     ("runtime/src/splat/cpu/", "dispatch of SIMD instructions"),
     ("runtime/src/splat/vulkan/", "a C interface"),
-    ("runtime/src/input/", "borrowed shared memory"),
     ("runtime/src/pool.rs", "jobs that borrow, without an allocation per job"),
     ("runtime/src/seal/allocator.rs", "a global allocator is an unsafe trait"),
     ("tools/nostd-proof/src/bare.rs", "a program without libc starts and exits by itself"),

@@ -1,1 +1,0 @@
-//! Bounded containers on memory that the caller hands in.
