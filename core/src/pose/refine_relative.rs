@@ -63,12 +63,13 @@ fn residual(e: &Matrix3<f64>, de: &[Matrix3<f64>; 5], m: &Match) -> Option<(f64,
     }
     let inverse = 1.0 / libm::sqrt(gradient2);
     let distance = second.dot(&line2) * inverse;
-    let jacobian = Vector5::from_fn(|k, _| {
-        let (dline2, dline1) = (de[k] * first, de[k].tr_mul(&second));
-        let dgradient2 = line2.xy().dot(&dline2.xy()) + line1.xy().dot(&dline1.xy());
-        second.dot(&dline2) * inverse - distance * dgradient2 * inverse * inverse
-    });
-    Some((distance, jacobian))
+    // By the entries of E: second first^T / |gradient| - distance (line2 first^T + second line1^T) / |gradient|^2,
+    // the lines without their third entries.
+    let share = distance * inverse * inverse;
+    let left = second * inverse - Vector3::new(line2.x, line2.y, 0.0) * share;
+    let right = Vector3::new(line1.x, line1.y, 0.0) * -share;
+    let by_entry = left * first.transpose() + second * right.transpose();
+    Some((distance, Vector5::from_fn(|k, _| de[k].dot(&by_entry))))
 }
 
 /// Cauchy's kernel: cost and weight of a squared residual.
@@ -208,8 +209,8 @@ fn normal_equations(
             && r * r < cutoff2
         {
             let weight = cauchy(r * r, width2).1;
-            hessian += jacobian * jacobian.transpose() * weight;
-            gradient += jacobian * (r * weight);
+            hessian.ger(weight, &jacobian, &jacobian, 1.0);
+            gradient.axpy(r * weight, &jacobian, 1.0);
         }
     }
     (hessian, gradient)

@@ -71,22 +71,48 @@ pub fn trials_needed(inlier_ratio: f64, sample_size: i32, confidence: f64) -> us
     libm::ceil(libm::log1p(-confidence) / denominator) as usize
 }
 
-/// Truncated squared distances (MSAC) and the inlier count; gives up once worse than `beaten`.
-fn score(essential: &Matrix3<f64>, matches: &[Match], inlier2: f64, beaten: f64) -> (f64, usize) {
+/// Truncated squared distances (MSAC) and the inlier count.
+fn score(essential: &Matrix3<f64>, matches: &[Match], inlier2: f64) -> (f64, usize) {
     let (mut cost, mut n_inliers) = (0.0, 0);
     for m in matches {
         let r = sampson_distance(essential, m);
-        if r * r < inlier2 {
-            n_inliers += 1;
-            cost += r * r;
-        } else {
-            cost += inlier2;
-        }
-        if cost > beaten {
-            break;
-        }
+        n_inliers += usize::from(r * r < inlier2);
+        cost += (r * r).min(inlier2);
     }
     (cost, n_inliers)
+}
+
+/// Matches that a hypothesis is tried on before it is scored on all; the power of two of a byte.
+const PROBES: usize = 256;
+/// Probes between two looks at the sum.
+const PROBES_PER_LOOK: usize = 16;
+/// Standard deviations by which a hypothesis has to look worse than the best to be given up.
+const GIVE_UP_SIGMAS: f64 = 3.0;
+
+/// Whether a hypothesis may cost less than `to_beat`, told from few matches spread over all: one that does costs that
+/// share of it on average, and a cost between 0 and `inlier2` deviates by half of `inlier2` at most (Popoviciu 1935).
+///
+/// # Source
+/// The idea of Matas & Chum 2005, "Randomized RANSAC with sequential probability ratio test"; own test.
+fn may_beat(to_beat: f64, essential: &Matrix3<f64>, matches: &[Match], inlier2: f64) -> bool {
+    if matches.len() < PROBES || to_beat.is_infinite() {
+        return true;
+    }
+    let share = to_beat / matches.len() as f64;
+    let mut cost = 0.0;
+    for k in 0..PROBES {
+        // Reversed bits visit everywhere early (van der Corput 1935): neighbours in the list are neighbours in the image.
+        let place = usize::from((k as u8).reverse_bits()) * matches.len() / PROBES;
+        let Some(m) = matches.get(place) else { continue };
+        let r = sampson_distance(essential, m);
+        cost += (r * r).min(inlier2);
+        let n = (k + 1) as f64;
+        let most = share * n + GIVE_UP_SIGMAS * 0.5 * inlier2 * libm::sqrt(n);
+        if (k + 1) % PROBES_PER_LOOK == 0 && cost > most {
+            return false;
+        }
+    }
+    true
 }
 
 /// Of the four motions behind an essential matrix, the one with most inliers in front of both cameras.
@@ -149,7 +175,7 @@ pub fn estimate_relative(
         let sample = drawn.map(|i| matches.get(i).copied().unwrap_or_default());
         for essential in five_point(&sample) {
             let to_beat = best.as_ref().map_or(f64::INFINITY, |b| b.cost);
-            if score(&essential, matches, inlier2, to_beat).0 >= to_beat {
+            if !may_beat(to_beat, &essential, matches, inlier2) || score(&essential, matches, inlier2).0 >= to_beat {
                 continue;
             }
             if let Some((pose, _)) = most_in_front(&essential, matches, inlier2) {
@@ -175,7 +201,7 @@ fn optimize_locally(start: &RelativePose, matches: &[Match], settings: &Relative
             let cutoff_z1 = cutoff * settings.inlier_z1;
             pose = refine_relative(matches, &pose, width, cutoff_z1, settings.local_iterations).second_from_first;
         }
-        let (cost, n_inliers) = score(&essential_of(&pose), matches, inlier2, f64::INFINITY);
+        let (cost, n_inliers) = score(&essential_of(&pose), matches, inlier2);
         if cost.is_finite() && best.as_ref().is_none_or(|b| cost < b.cost) {
             *best = Some(Best { pose, cost, n_inliers });
         }

@@ -19,14 +19,17 @@ pub(crate) struct BenchArgs {
 enum BenchName {
     /// A training step of every splatting backend, stage by stage.
     Splat,
+    /// The parts of the tracker: corners, tracks, poses, bundle adjustment.
+    Tracking,
 }
 
 /// Runs one benchmark; its tables go to stdout.
 pub(crate) fn run(root: &Path, args: &BenchArgs) -> Result<(), StepFailed> {
-    let name = match args.name {
-        BenchName::Splat => "splat",
+    let (package, name) = match args.name {
+        BenchName::Splat => ("kilogs", "splat"),
+        BenchName::Tracking => ("kilogs-core", "tracking"),
     };
-    let mut arguments = vec!["bench", "--quiet", "--package", "kilogs", "--bench", name, "--"];
+    let mut arguments = vec!["bench", "--quiet", "--package", package, "--bench", name, "--"];
     arguments.extend(args.more.iter().map(String::as_str));
     step(root, "benchmark", "cargo", &arguments, &[])
 }

@@ -1,0 +1,136 @@
+//! Poses from matches whose truth is known.
+
+use super::clock::{Times, median};
+use super::problems::{CAMERA, NOISE_PX, TwoViews, camera_of_window, second_from_first, window};
+use kilogs_core::bundle::{BundleSettings, ReducedSystem, adjust};
+use kilogs_core::conventions::Rigid;
+use kilogs_core::keyframe::WINDOW;
+use kilogs_core::math::Rng;
+use kilogs_core::pose::{
+    Match, PnpSettings, RelativePose, RelativeSettings, estimate_pnp, estimate_relative, five_point,
+};
+use std::hint::black_box;
+use std::path::Path;
+
+const MATCHES: usize = 1000;
+const OUTLIER_RATIOS: [f64; 2] = [0.3, 0.6];
+/// The peers' settings: 1 px, 0.999.
+const RELATIVE: RelativeSettings =
+    RelativeSettings { inlier_z1: 1.0 / CAMERA.fx, confidence: 0.999, trials: [20, 10_000], local_iterations: 10 };
+/// The peers' settings: 2 px, 0.999.
+const PNP: PnpSettings = PnpSettings {
+    noise_z1: NOISE_PX / CAMERA.fx,
+    inlier_sigmas: 4.0,
+    confidence: 0.999,
+    trials: [20, 1000],
+    iterations: 10,
+};
+/// Landmarks of a window in town.
+const LANDMARKS: usize = 1000;
+const BUNDLE: BundleSettings =
+    BundleSettings { noise_z1: NOISE_PX / CAMERA.fx, huber_sigmas: 1.345, outlier_sigmas: 5.0, max_iterations: 8 };
+
+fn problems(outlier_ratio: f64, n_seeds: u64) -> Vec<TwoViews> {
+    (0..n_seeds).map(|seed| TwoViews::new(MATCHES, outlier_ratio, seed)).collect()
+}
+
+/// One file per share of outliers: all problems, one after the other.
+pub fn store(n_seeds: u64, folder: &Path) -> std::io::Result<()> {
+    for ratio in OUTLIER_RATIOS {
+        let bytes: Vec<u8> = problems(ratio, n_seeds).iter().flat_map(TwoViews::bytes).collect();
+        std::fs::write(folder.join(format!("two_views_{:.0}.f64", 100.0 * ratio)), bytes)?;
+    }
+    Ok(())
+}
+
+fn rotation_error_deg(found: &Rigid) -> f64 {
+    found.rotation.angle_to(&second_from_first().rotation).to_degrees()
+}
+
+/// The five-point solver and the robust loop around it.
+pub fn print_essential(n_seeds: u64) {
+    println!(
+        "| relative pose | ms | rotation error, deg | direction error, deg | samples |\n|---|---:|---:|---:|---:|"
+    );
+    let exact = TwoViews::new(MATCHES, 0.0, 0).matches();
+    let samples: Vec<[Match; 5]> = exact.as_chunks().0.to_vec();
+    let times = Times::of(0..20, |_| samples.iter().for_each(|sample| drop(black_box(five_point(sample)))));
+    println!("| {} five-point samples, no outliers | {} | - | - | {} |", samples.len(), times.text(), samples.len());
+    for ratio in OUTLIER_RATIOS {
+        let problems: Vec<_> = problems(ratio, n_seeds).iter().map(TwoViews::matches).collect();
+        let (mut found, mut is_inlier) = (Vec::new(), vec![false; MATCHES]);
+        let times = Times::of(0..problems.len(), |i| {
+            let mut rng = Rng::new(1, i as u64, 1);
+            found.extend(estimate_relative(&problems[i], None, &RELATIVE, &mut rng, &mut is_inlier));
+        });
+        let errors = |of: &dyn Fn(&RelativePose) -> f64| {
+            median(found.iter().map(|estimate| of(&estimate.second_from_first)).collect())
+        };
+        let truth = second_from_first();
+        println!(
+            "| {MATCHES} matches, {:.0} % outliers, {} problems | {} | {:.4} | {:.3} | {:.0} |",
+            100.0 * ratio,
+            found.len(),
+            times.text(),
+            errors(&|pose| pose.rotation.angle_to(&truth.rotation).to_degrees()),
+            errors(&|pose| pose.direction.angle(&truth.translation.vector).to_degrees()),
+            median(found.iter().map(|estimate| estimate.n_trials as f64).collect())
+        );
+    }
+    println!();
+}
+
+/// The robust loop around P3P, without a prediction.
+pub fn print_pnp(n_seeds: u64) {
+    println!(
+        "| pose from landmarks | ms | rotation error, deg | position error, m | samples |\n|---|---:|---:|---:|---:|"
+    );
+    for ratio in OUTLIER_RATIOS {
+        let problems: Vec<_> = problems(ratio, n_seeds).iter().map(TwoViews::landmark_matches).collect();
+        let (mut found, mut is_inlier) = (Vec::new(), vec![false; MATCHES]);
+        let times = Times::of(0..problems.len(), |i| {
+            let mut rng = Rng::new(1, i as u64, 2);
+            found.extend(estimate_pnp(&problems[i], &Rigid::identity(), &PNP, &mut rng, &mut is_inlier));
+        });
+        let errors = |of: &dyn Fn(&Rigid) -> f64| {
+            median(found.iter().map(|estimate| of(&estimate.refined.camera_from_reference)).collect())
+        };
+        let truth = second_from_first();
+        println!(
+            "| {MATCHES} landmarks, {:.0} % outliers, {} problems | {} | {:.4} | {:.4} | {:.0} |",
+            100.0 * ratio,
+            found.len(),
+            times.text(),
+            errors(&rotation_error_deg),
+            errors(&|pose| (pose.translation.vector - truth.translation.vector).norm()),
+            median(found.iter().map(|estimate| estimate.n_trials as f64).collect())
+        );
+    }
+    println!();
+}
+
+/// The adjustment of a full window.
+pub fn print_bundle(rounds: usize) {
+    println!("| bundle adjustment | ms | worst position error before, m | after, m |\n|---|---:|---:|---:|");
+    let problems: Vec<_> = (0..rounds).map(|seed| window(LANDMARKS, seed as u64)).collect();
+    let worst = |window: &kilogs_core::keyframe::KeyframeWindow| {
+        let center = |pose: Rigid| pose.inverse().translation.vector;
+        let error = |i: usize| {
+            window.at(i).map_or(f64::NAN, |k| (center(k.camera_from_world) - center(camera_of_window(i))).norm())
+        };
+        (0..WINDOW).map(error).fold(0.0, f64::max)
+    };
+    let before = median(problems.iter().map(|(window, _)| worst(window)).collect());
+    let mut system = Box::new(ReducedSystem::new());
+    let mut adjusted = problems;
+    let times = Times::of(0..rounds, |i| {
+        let (window, landmarks) = &mut adjusted[i];
+        adjust(window, landmarks, &mut system, &BUNDLE);
+    });
+    let after = median(adjusted.iter().map(|(window, _)| worst(window)).collect());
+    println!(
+        "| {WINDOW} keyframes, {LANDMARKS} landmarks seen by all, {} steps at most | {} | {before:.4} | {after:.4} |\n",
+        BUNDLE.max_iterations,
+        times.text()
+    );
+}
