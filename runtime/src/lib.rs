@@ -21,6 +21,7 @@ pub mod telemetry;
 pub mod pipeline;
 pub mod fit;
 
+mod pose_file;
 mod run_error;
 pub use run_error::RunError;
 

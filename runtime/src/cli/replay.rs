@@ -1,9 +1,10 @@
 //! `kilogs replay`: a recorded sequence through a capture process of its own.
 
 use super::CommonArgs;
-use crate::fit::poses_of;
+use crate::fit::{SceneError, line_of};
 use crate::input::CameraChild;
-use crate::pipeline::{self, GivenPoses, Pace, RunPlan};
+use crate::pipeline::{self, GivenPosesPlan, Pace, RunPlan};
+use crate::pose_file::PoseFile;
 use crate::run_error::RunError;
 use kilogs_camera::cli::{CameraError, parse_rate};
 use kilogs_camera::source::{CameraDescription, PlaybackRange, Schedule};
@@ -72,16 +73,30 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
     let schedule = Schedule::new(description.images.len() as u64, &range)?;
     plan.n_frames = Some(schedule.n_steps());
-    plan.given_poses = args.poses.as_deref().map(|poses| given_poses(poses, &schedule, &description)).transpose()?;
+    plan.given_poses = args.poses.as_deref().map(|poses| given_poses(poses, schedule, &description)).transpose()?;
+    // The capture process has a list of its own.
+    drop(description);
     pipeline::run_with_child(plan, |service| CameraChild::start(camera_arguments(args, service)))
 }
 
-/// The pose of every frame that the capture process will send.
-fn given_poses(poses: &Path, schedule: &Schedule, description: &CameraDescription) -> Result<GivenPoses, RunError> {
-    let images: Vec<usize> = (0..schedule.n_steps()).map(|step| schedule.frame_index(step) as usize).collect();
-    let n_needed = images.iter().max().map_or(0, |last| last + 1);
-    let world_from_camera = poses_of(poses, &description.images, n_needed)?;
-    Ok(GivenPoses::new(images.iter().filter_map(|&image| world_from_camera.get(image).copied()).collect()))
+/// Where the pose of every frame that the capture process will send is found.
+fn given_poses(poses: &Path, schedule: Schedule, description: &CameraDescription) -> Result<GivenPosesPlan, RunError> {
+    let n_poses = PoseFile::open(poses).map_err(SceneError::from)?.n_poses();
+    let line = |image: u64| line_of(poses, n_poses, &description.images, image as usize);
+    // Every pass shows the images of the first.
+    let shown = || (0..schedule.pass_length()).map(|step| schedule.frame_index(step));
+    let first = schedule.frame_index(0);
+    let first_line = line(first)?.checked_sub(first);
+    for image in shown() {
+        if first_line.map(|first_line| first_line + image) != Some(line(image)?) {
+            let name = description.images[image as usize].display();
+            let reason =
+                format!("the numbers of the images are not consecutive at {name}; give a line for every image");
+            return Err(SceneError::file(poses, reason).into());
+        }
+    }
+    let first_line = first_line.unwrap_or_default();
+    Ok(GivenPosesPlan { file: poses.to_owned(), schedule, first_line })
 }
 
 /// Command line of the capture process.

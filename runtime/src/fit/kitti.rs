@@ -1,9 +1,10 @@
 //! A recording in KITTI's layout with a pose for every image.
 
+use crate::pose_file::PoseFile;
+
 use super::scene::{MADE_UP_INTERVAL_NS, PosedView, Scene, SceneError, SceneRequest};
 use kilogs_camera::source::{ImageList, describe};
 use kilogs_core::conventions::Rigid;
-use kilogs_eval::trajectory::{Truth, read_truth};
 use std::path::{Path, PathBuf};
 
 /// Reads the recording and its poses.
@@ -27,33 +28,32 @@ pub(super) fn open(request: &SceneRequest<'_>, poses: &Path) -> Result<Scene, Sc
     })
 }
 
-/// Poses of the first `n_views` of `images`: line k is image k, or, where the recording is a part of a longer one,
-/// the image with number k.
+/// Poses of the first `n_views` of `images`.
+fn poses_of(path: &Path, images: &[PathBuf], n_views: usize) -> Result<Vec<Rigid>, SceneError> {
+    let mut file = PoseFile::open(path)?;
+    let pose = |k: usize| {
+        let line = line_of(path, file.n_poses(), images, k)?;
+        file.pose(line)?.ok_or_else(|| SceneError::file(path, "it has become shorter meanwhile; try again"))
+    };
+    (0..n_views).map(pose).collect()
+}
+
+/// Line of a pose file that belongs to image `k`, both counted from 0: line k is image k, or, where the recording is a
+/// part of a longer one, the image with number k.
 ///
 /// # Errors
-/// [`SceneError`] when the file is unreadable, or has no pose for an image.
-pub fn poses_of(path: &Path, images: &[PathBuf], n_views: usize) -> Result<Vec<Rigid>, SceneError> {
-    let Truth::PerImage(poses) = read_truth(path)? else {
-        return Err(SceneError::file(path, "these are TUM poses; write 12 numbers a line, one line per image (KITTI)"));
-    };
-    let number = |path: &PathBuf| path.file_stem()?.to_str()?.parse::<usize>().ok();
-    let line_of = |k: usize| match poses.len() == images.len() {
-        true => Some(k),
-        false => number(&images[k]),
-    };
-    (0..n_views)
-        .map(|k| {
-            line_of(k).and_then(|line| poses.get(line).copied()).ok_or_else(|| {
-                let name = images[k].file_name().unwrap_or_default().display();
-                let reason = format!(
-                    "{} poses for {} images, and none for {name}; give a line for every image, or fewer --frames",
-                    poses.len(),
-                    images.len()
-                );
-                SceneError::file(path, reason)
-            })
-        })
-        .collect()
+/// [`SceneError`] when there is no such line.
+pub fn line_of(path: &Path, n_poses: u64, images: &[PathBuf], k: usize) -> Result<u64, SceneError> {
+    let number = |path: &PathBuf| path.file_stem()?.to_str()?.parse::<u64>().ok();
+    let line = if n_poses == images.len() as u64 { Some(k as u64) } else { images.get(k).and_then(number) };
+    line.filter(|&line| line < n_poses).ok_or_else(|| {
+        let name = images.get(k).and_then(|image| image.file_name()).unwrap_or_default().display();
+        let reason = format!(
+            "{n_poses} poses for {} images, and none for {name}; give a line for every image, or fewer --frames",
+            images.len()
+        );
+        SceneError::file(path, reason)
+    })
 }
 
 #[cfg(test)]

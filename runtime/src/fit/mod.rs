@@ -15,6 +15,6 @@ mod trainer;
 mod transforms;
 
 pub use effort::Effort;
-pub use kitti::poses_of;
+pub use kitti::line_of;
 pub use run::{FitRequest, run};
 pub use scene::{PosedView, Scene, SceneError, SceneRequest};

@@ -63,7 +63,7 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    pub(super) fn file(path: &Path, reason: impl Into<String>) -> Self {
+    pub(crate) fn file(path: &Path, reason: impl Into<String>) -> Self {
         Self::File { path: path.to_owned(), reason: reason.into() }
     }
 

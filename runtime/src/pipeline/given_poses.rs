@@ -1,8 +1,12 @@
 //! Poses that are given instead of tracked: everything but the mapper is taken out of a comparison.
 
+use crate::pose_file::PoseFile;
+use kilogs_camera::source::Schedule;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+use kilogs_eval::command::EvalError;
 use nalgebra::Matrix6;
+use std::path::PathBuf;
 
 /// Below this the tracker's own step tells nothing about its scale, m.
 const MIN_STEP_M: f64 = 0.1;
@@ -10,11 +14,23 @@ const MIN_STEP_M: f64 = 0.1;
 /// Standard deviation of a given pose, rad and m: taken as exact, but a covariance has to have an inverse.
 const GIVEN_SIGMA: f64 = 1e-6;
 
+/// Which line of which file is the pose of a frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GivenPosesPlan {
+    /// A file in KITTI's format.
+    pub file: PathBuf,
+    /// The image that each frame of the stream shows.
+    pub schedule: Schedule,
+    /// Line of the pose of the recording's first image, counted from 0.
+    pub first_line: u64,
+}
+
 /// Puts given poses into the tracker's reports. Which frames become keyframes is still the tracker's choice.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 pub struct GivenPoses {
-    /// One per frame of the stream; the first is the origin.
-    world_from_camera: Vec<Rigid>,
+    file: PoseFile,
+    plan: GivenPosesPlan,
+    first_from_world: Rigid,
     newest: Option<Keyframe>,
     points_scale: Option<f32>,
 }
@@ -27,19 +43,26 @@ struct Keyframe {
 }
 
 impl GivenPoses {
-    /// One pose per frame of the stream, in any world.
-    pub fn new(mut world_from_camera: Vec<Rigid>) -> Self {
-        let first_from_world = world_from_camera.first().map_or_else(Rigid::identity, Rigid::inverse);
-        for pose in &mut world_from_camera {
-            *pose = first_from_world * *pose;
-        }
-        Self { world_from_camera, newest: None, points_scale: None }
+    /// Opens the file; the first frame of the stream is the origin.
+    ///
+    /// # Errors
+    /// [`EvalError`] naming the file and the line that is wrong.
+    pub fn open(plan: &GivenPosesPlan) -> Result<Self, EvalError> {
+        let mut file = PoseFile::open(&plan.file)?;
+        let first = file.pose(plan.line_of_frame(0))?.unwrap_or_else(Rigid::identity);
+        Ok(Self { file, plan: plan.clone(), first_from_world: first.inverse(), newest: None, points_scale: None })
     }
 
     /// Replaces what the tracker found by what is known; a frame beyond the last pose is lost.
     pub fn replace(&mut self, report: &mut FrameReport) {
-        let given = usize::try_from(report.frame_index).ok().and_then(|index| self.world_from_camera.get(index));
-        let Some(&world_from_camera) = given else {
+        let is_in_stream = report.frame_index < self.plan.schedule.n_steps();
+        let line = self.plan.line_of_frame(report.frame_index);
+        let given = if is_in_stream { self.file.pose(line) } else { Ok(None) };
+        let given = given.unwrap_or_else(|problem| {
+            log::error!("no pose for frame {}: {problem}", report.frame_index);
+            None
+        });
+        let Some(world_from_camera) = given.map(|pose| self.first_from_world * pose) else {
             (report.status, report.reason, report.is_keyframe) = (FrameStatus::Lost, StatusReason::Unusable, false);
             return;
         };
@@ -68,6 +91,12 @@ impl GivenPoses {
     }
 }
 
+impl GivenPosesPlan {
+    fn line_of_frame(&self, frame_index: u64) -> u64 {
+        self.first_line + self.schedule.frame_index(frame_index)
+    }
+}
+
 fn scale_of_step(before: &Keyframe, now: &Keyframe) -> Option<f32> {
     let step_m = |from: &Rigid, to: &Rigid| (to.translation.vector - from.translation.vector).norm();
     let tracked_m = step_m(&before.tracked_world_from_camera, &now.tracked_world_from_camera);
@@ -78,6 +107,7 @@ fn scale_of_step(before: &Keyframe, now: &Keyframe) -> Option<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use kilogs_camera::source::PlaybackRange;
     use nalgebra::Vector3;
 
     fn tracked(frame_index: u64, keyframe_ordinal: u32, is_keyframe: bool, z_m: f64) -> FrameReport {
@@ -107,8 +137,14 @@ mod tests {
 
     #[test]
     fn given_poses_begin_at_the_origin_and_scale_the_depths() {
-        let poses = (0..4).map(|k| Rigid::translation(7.0, 0.0, 2.0 * f64::from(k))).collect();
-        let mut given = GivenPoses::new(poses);
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("poses.txt");
+        // The recording's first image is line 1; the stream begins with its second.
+        let lines = (0..6).map(|k| format!("1 0 0 7 0 1 0 0 0 0 1 {}\n", 2 * k));
+        std::fs::write(&file, lines.collect::<String>()).expect("a file");
+        let range = PlaybackRange { start: 1, frames: Some(4), passes: 1 };
+        let schedule = Schedule::new(5, &range).expect("a part of it");
+        let mut given = GivenPoses::open(&GivenPosesPlan { file, schedule, first_line: 1 }).expect("a pose file");
         let mut check = |mut report: FrameReport, z_m: f64, relative_z_m: f64, scale: Option<f32>| {
             given.replace(&mut report);
             assert_eq!(report.status, FrameStatus::Tracked);

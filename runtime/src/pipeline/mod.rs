@@ -23,7 +23,7 @@ mod tally;
 mod tracking_thread;
 
 pub(crate) use finish::{Concluded, conclude};
-pub use given_poses::GivenPoses;
+pub use given_poses::GivenPosesPlan;
 pub(crate) use mapping_thread::MappingSummary;
 pub(crate) use memory::{manifest, mapper, store_settings};
 pub use plan::{Pace, RunPlan};

@@ -1,6 +1,6 @@
 //! What a run is going to do, checked before anything is started.
 
-use super::given_poses::GivenPoses;
+use super::given_poses::GivenPosesPlan;
 use crate::budget::{Budget, ComputeMemory, Location, MappingPlan, Plan, PlanInput, Row};
 use crate::cli::CommonArgs;
 use crate::compute::{BackendPlan, Compute};
@@ -49,7 +49,7 @@ pub struct RunPlan {
     /// The vehicle may drive backwards.
     pub may_reverse: bool,
     /// Where the camera was, instead of what the tracker finds; a comparison, not a drive.
-    pub given_poses: Option<GivenPoses>,
+    pub given_poses: Option<GivenPosesPlan>,
     /// Folder for all outputs.
     pub out: PathBuf,
     /// Seed of everything random.
@@ -99,6 +99,7 @@ impl RunPlan {
         settings.mapping.mapper.page_distance_m = f64::INFINITY;
         let budget = args.budget()?;
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
+        check_views(format.n_frames.unwrap_or(0), budget.capacity(Row::StoreKeyframeTable) as u64)?;
         Self::of_parts(args, format, Pace::LockStep { iterations: 0 }, out, (settings, budget, 1.0))
     }
 
@@ -169,6 +170,17 @@ impl RunPlan {
     }
 }
 
+/// All views are in memory while a map is fitted, and in the table of its keyframes afterwards.
+fn check_views(n_views: u64, capacity: u64) -> Result<(), RunError> {
+    if n_views > capacity {
+        return Err(RunError::Usage(format!(
+            "planning the run: {n_views} views, and [store.keyframe_table] of the budget holds {capacity}; \
+             raise it, or give fewer --frames"
+        )));
+    }
+    Ok(())
+}
+
 /// Settings with the training resolution that this camera gets.
 fn mapping_settings(args: &CommonArgs, format: &SourceFormat) -> Result<Settings, RunError> {
     let mut settings = args.settings()?;
@@ -208,5 +220,13 @@ mod tests {
             let camera = Pinhole { width, height, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 };
             assert_eq!(check_image_size(&camera).map_err(|e| e.code()).err(), code, "{width} x {height}");
         }
+    }
+
+    #[test]
+    fn more_views_than_the_map_can_list_are_refused_before_anything_is_read() {
+        assert!(check_views(64, 64).is_ok());
+        let refusal = check_views(65, 64).expect_err("one too many");
+        assert_eq!(refusal.code(), 2);
+        assert!(refusal.to_string().contains("65 views, and [store.keyframe_table]"), "{refusal}");
     }
 }

@@ -57,9 +57,11 @@ impl TrackingThread<'_> {
     /// [`RunError::Input`] when the shared memory breaks down.
     pub fn run(mut self, mut input: FrameInput) -> Result<(), RunError> {
         let failed = |e: crate::input::InputError| RunError::Input(e.to_string());
+        let given_poses = self.plan.given_poses.as_ref().map(GivenPoses::open).transpose();
+        let given_poses = given_poses.map_err(|e| RunError::Input(e.to_string()))?;
         let mut gray = vec![0; self.plan.camera.width as usize * self.plan.camera.height as usize];
         let mut state = State {
-            given_poses: self.plan.given_poses.clone(),
+            given_poses,
             slots: SlotsSeen::new(self.plan.budget.capacity(Row::IpcFrameSlots)),
             held_out: HeldOutRule::default(),
             n_keyframes: 0,

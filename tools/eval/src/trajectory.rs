@@ -39,10 +39,19 @@ pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, EvalError> {
 /// [`EvalError`] naming the file and the line that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, EvalError> {
     let rows = rows(path)?;
-    match rows.first().map(|row| row.numbers.len()) {
+    match rows.first().map(|row| row.n_numbers) {
         Some(TUM_COLUMNS) => rows.iter().map(|row| tum_pose(path, row)).collect::<Result<_, _>>().map(Truth::Stamped),
         _ => rows.iter().map(|row| kitti_pose(path, row)).collect::<Result<_, _>>().map(Truth::PerImage),
     }
+}
+
+/// What a line of a ground-truth file in KITTI's format says, for those who read line by line; `None` when it is empty or
+/// a comment. Takes no memory.
+///
+/// # Errors
+/// [`EvalError`] naming the file and the line.
+pub fn kitti_pose_of_line(path: &Path, line: usize, content: &str) -> Result<Option<Isometry3<f64>>, EvalError> {
+    row(path, line, content)?.map(|row| kitti_pose(path, &row)).transpose()
 }
 
 /// Reads `times.txt`: one time in seconds per image.
@@ -53,31 +62,42 @@ pub fn read_times(path: &Path) -> Result<Vec<f64>, EvalError> {
     rows(path)?.iter().map(|row| numbers::<1>(path, row).map(|[time_s]| time_s)).collect()
 }
 
+/// The numbers of one line; those beyond the longest kind are only counted.
 struct Row {
     line: usize,
-    numbers: Vec<f64>,
+    n_numbers: usize,
+    numbers: [f64; KITTI_COLUMNS],
 }
 
 fn rows(path: &Path) -> Result<Vec<Row>, EvalError> {
     let text =
         std::fs::read_to_string(path).map_err(|source| EvalError::Unreadable { path: path.to_owned(), source })?;
-    let mut rows = Vec::new();
-    for (line, content) in text.lines().enumerate().map(|(idx, content)| (idx + 1, content.trim())) {
-        if content.is_empty() || content.starts_with('#') {
-            continue;
-        }
-        let parsed: Result<Vec<f64>, _> = content.split_whitespace().map(str::parse).collect();
-        match parsed {
-            Ok(numbers) if numbers.iter().all(|n: &f64| n.is_finite()) => rows.push(Row { line, numbers }),
-            _ => return Err(malformed(path, line, "holds something that is not a finite number".to_owned())),
-        }
+    text.lines().zip(1..).filter_map(|(content, line)| row(path, line, content).transpose()).collect()
+}
+
+/// A line as numbers; `None` when it is empty or a comment.
+fn row(path: &Path, line: usize, content: &str) -> Result<Option<Row>, EvalError> {
+    let content = content.trim();
+    if content.is_empty() || content.starts_with('#') {
+        return Ok(None);
     }
-    Ok(rows)
+    let mut row = Row { line, n_numbers: 0, numbers: [0.0; KITTI_COLUMNS] };
+    for word in content.split_whitespace() {
+        let number = word.parse().ok().filter(|number: &f64| number.is_finite());
+        let number =
+            number.ok_or_else(|| malformed(path, line, "holds something that is not a finite number".to_owned()))?;
+        if let Some(place) = row.numbers.get_mut(row.n_numbers) {
+            *place = number;
+        }
+        row.n_numbers += 1;
+    }
+    Ok(Some(row))
 }
 
 fn numbers<const N: usize>(path: &Path, row: &Row) -> Result<[f64; N], EvalError> {
-    <[f64; N]>::try_from(row.numbers.as_slice())
-        .map_err(|_| malformed(path, row.line, format!("has {} numbers, {N} are needed", row.numbers.len())))
+    let has_as_many = row.n_numbers == N;
+    let found = row.numbers.get(..N).filter(|_| has_as_many).and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
+    found.ok_or_else(|| malformed(path, row.line, format!("has {} numbers, {N} are needed", row.n_numbers)))
 }
 
 fn tum_pose(path: &Path, row: &Row) -> Result<StampedPose, EvalError> {

@@ -70,6 +70,11 @@ impl Schedule {
         1 + self.passes * (self.length - 1) + (self.passes - 1) * STANDING_FRAMES
     }
 
+    /// Steps of the first pass, which shows every image that is shown at all.
+    pub fn pass_length(&self) -> u64 {
+        self.length
+    }
+
     /// Index in the recording of the frame that is shown at `step`; it is also the sequence number's frame.
     pub fn frame_index(&self, step: u64) -> u64 {
         let place = self.place(step);
