@@ -22,6 +22,8 @@ pub struct MappingPlan {
     pub window: usize,
     /// Anchors have features and chunks decoders, `mapping.decoder`.
     pub learned_decoder: bool,
+    /// Keyframes keep their depth, `mapping.loss_depth`.
+    pub trains_depth: bool,
 }
 
 impl MappingPlan {
@@ -31,6 +33,7 @@ impl MappingPlan {
             resolution: mapper.resolution_for(camera_width_px),
             window: mapper.window,
             learned_decoder: mapper.learned_decoder,
+            trains_depth: mapper.trains_depth(),
         }
     }
 }
@@ -129,6 +132,8 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             let channels = input.color_channels as usize;
             bytes(mapper::bytes_per_image(&input.mapping_camera(), channels))
         }
+        Row::MapKeyframeDepths if input.mapping.trains_depth => bytes(mapper::bytes_per_depth(&input.mapping_camera())),
+        Row::MapKeyframeDepths => 0,
         Row::MapWorkspaces => {
             bytes(mapper::workspace_bytes(&input.mapping_camera(), capacity(Row::MapGaussiansPerAnchor)))
         }
@@ -265,7 +270,7 @@ mod tests {
             height: 376,
             frame_bytes: 1241 * 376 * 3,
             color_channels: 3,
-            mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true },
+            mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: true },
             compute,
         }
     }

@@ -34,6 +34,7 @@ impl Budget {
             gaussians_per_anchor: self.capacity(Row::MapGaussiansPerAnchor),
             voxels: self.capacity(Row::MapVoxels),
             images: self.capacity(Row::MapKeyframeImages),
+            depths: self.capacity(Row::MapKeyframeDepths),
             new_anchors: self.capacity(Row::MapNewAnchors),
             keyframe_rows: self.capacity(Row::MapKeyframes),
             chunk_rows: self.capacity(Row::MapChunks),

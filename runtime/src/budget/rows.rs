@@ -71,6 +71,7 @@ pub enum Row {
     MapVoxels,
     MapKeyframes,
     MapKeyframeImages,
+    MapKeyframeDepths,
     MapWorkspaces,
     MapChunks,
     SplatVisibleGaussians,
@@ -138,6 +139,7 @@ rows! {
     MapVoxels = ["map"."voxels"], "a slot of the voxel hash", HOST, Refuse, 64..=1 << 26;
     MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, OverwriteOldest, 4..=1 << 16;
     MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on, and its exposure", HOST, OverwriteOldest, 2..=4096;
+    MapKeyframeDepths = ["map"."keyframe_depths"], "a keyframe's depth and confidence to train on", HOST, OverwriteOldest, 1..=4096;
     MapWorkspaces = ["map"."workspaces"], "planes of motion stereo and insertion", HOST, Refuse, 1..=1;
     MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, OverwriteOldest, 2..=1 << 12;
     SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian and its gradient", BACKEND, Refuse, 64..=1 << 26;

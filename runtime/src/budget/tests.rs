@@ -7,7 +7,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     height: 376,
     frame_bytes: 1241 * 376 * 3,
     color_channels: 3,
-    mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true },
+    mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: false },
     compute: ComputeMemory::Cpu,
 };
 

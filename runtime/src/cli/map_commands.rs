@@ -65,7 +65,12 @@ fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
         height: manifest.camera.height,
         frame_bytes: 0,
         color_channels: 3,
-        mapping: MappingPlan { resolution: 1.0, window: 1, learned_decoder: map.has_learned_decoder() },
+        mapping: MappingPlan {
+            resolution: 1.0,
+            window: 1,
+            learned_decoder: map.has_learned_decoder(),
+            trains_depth: false,
+        },
         compute: ComputeMemory::Cpu,
     };
     Capacities {

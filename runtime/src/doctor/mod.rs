@@ -104,7 +104,7 @@ mod tests {
     }
 
     fn subjects_to_mend(args: &DoctorArgs) -> Vec<&'static str> {
-        examine(args, MappingPlan { resolution: 0.5, window: 6, learned_decoder: true })
+        examine(args, MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: false })
             .into_iter()
             .filter(|f| f.advice.is_some())
             .map(|f| f.subject)

@@ -23,6 +23,8 @@ pub struct MapperCapacity {
     pub voxels: usize,
     /// Keyframe images kept for training.
     pub images: usize,
+    /// Keyframes whose depth is kept for training.
+    pub depths: usize,
     /// Anchors that one keyframe may spawn.
     pub new_anchors: usize,
     /// Rows of the backend's keyframe table; a row is used again after so many keyframes.
@@ -43,6 +45,11 @@ pub const BYTES_PER_VOXEL: usize = size_of::<VoxelCell>();
 /// Bytes of a keyframe image at mapping resolution, with its brightness.
 pub fn bytes_per_image(camera: &Pinhole, bytes_per_pixel: usize) -> usize {
     n_pixels(camera) * (bytes_per_pixel + 1)
+}
+
+/// Bytes of a keyframe's depth and confidence at mapping resolution.
+pub fn bytes_per_depth(camera: &Pinhole) -> usize {
+    n_pixels(camera) * 2 * size_of::<f32>()
 }
 
 /// Bytes of an anchor that is about to be spawned.

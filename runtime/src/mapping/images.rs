@@ -103,6 +103,7 @@ impl KeyframeImages {
             keyframe: self.kept[slot]?,
             pixels: &self.pixels[slot * n * channels..(slot + 1) * n * channels],
             luma: &self.luma[slot * n..(slot + 1) * n],
+            place: slot,
         })
     }
 }
@@ -116,6 +117,8 @@ pub struct KeptImage<'a> {
     pub pixels: &'a [u8],
     /// Brightness, row by row.
     pub luma: &'a [u8],
+    /// Its place in the ring, which is also that of its exposure in the splat backend.
+    pub place: usize,
 }
 
 #[cfg(test)]

@@ -35,6 +35,10 @@ impl Mapper {
             return InsertReport::default();
         };
         let from_stereo = self.estimate_depth(age, source_ages, points, road);
+        if from_stereo {
+            let ImageScratch { inverse_depth, confidence, .. } = &self.scratch;
+            self.depths.keep(ordinal, inverse_depth, confidence, self.settings.trusted_depth_m);
+        }
         self.begin_background(age, from_stereo);
         let mean_transmittance = self.compare_with_map(age);
         let mut rng =

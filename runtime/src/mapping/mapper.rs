@@ -3,6 +3,7 @@
 use super::capacity::MapperCapacity;
 use super::decoder::ChunkDecoders;
 use super::depth::{MotionStereo, SparseDepth};
+use super::depths::KeyframeDepths;
 use super::evict::PageGroups;
 use super::images::{KeptKeyframe, KeyframeImages, MappingImage};
 use super::list_load::ListLoad;
@@ -12,7 +13,7 @@ use super::settings::MapperSettings;
 use super::shrink::mapping_camera;
 use super::sink::PageSink;
 use crate::map_store::{MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
-use crate::splat::{BACKGROUND_TEXELS, KeyframePlacement, SplatBackend};
+use crate::splat::{BACKGROUND_TEXELS, Exposure, KeyframePlacement, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
 use kilogs_core::map::insertion::MapImageSize;
@@ -149,6 +150,7 @@ pub struct Mapper {
     pub(super) images: KeyframeImages,
     pub(super) stereo: MotionStereo,
     pub(super) sparse: SparseDepth,
+    pub(super) depths: KeyframeDepths,
     pub(super) scratch: ImageScratch,
     pub(super) staging: Staging,
     pub(super) groups: PageGroups,
@@ -170,6 +172,7 @@ impl Mapper {
     ) -> Self {
         let camera = mapping_camera(native, settings.resolution);
         let size = MapImageSize { width: camera.width as usize, height: camera.height as usize };
+        let n_depths = if settings.trains_depth() { capacity.depths } else { 0 };
         Self {
             settings,
             capacity,
@@ -179,6 +182,7 @@ impl Mapper {
             images: KeyframeImages::new(*native, camera, channels, capacity.images),
             stereo: MotionStereo::new(&camera),
             sparse: SparseDepth,
+            depths: KeyframeDepths::new(size.n_pixels(), n_depths),
             scratch: ImageScratch::new(size, capacity.new_anchors * capacity.gaussians_per_anchor),
             staging: Staging::new(capacity.new_anchors, capacity.anchors, capacity.gaussians_per_anchor),
             groups: PageGroups::new(capacity.keyframe_rows),
@@ -209,6 +213,7 @@ impl Mapper {
             return Err(PacketRefused::ImageDoesNotFit { frame_index });
         }
         self.place(packet.ordinal, &packet.world_from_camera);
+        self.begin_exposure();
         self.begin_decoder(packet.ordinal);
         self.groups.note(packet.ordinal, &packet.world_from_camera);
         self.prune_after_window();
@@ -279,6 +284,11 @@ impl Mapper {
         self.staging.peak()
     }
 
+    /// Keyframes whose depth is kept to train on; none while no step looks at depth.
+    pub fn n_kept_depths(&self) -> usize {
+        self.depths.len()
+    }
+
     /// Anchors that live now.
     pub fn n_resident_anchors(&self) -> u32 {
         self.pool.n_live()
@@ -301,6 +311,18 @@ impl Mapper {
             scale: 1.0,
         };
         self.backend.set_keyframes(self.keyframe_row(ordinal), &[placement]);
+    }
+
+    /// The newest keyframe's picture counts as exposed like the map until steps say otherwise.
+    fn begin_exposure(&mut self) {
+        if let Some(slot) = self.images.newest(0).and_then(|kept| self.exposure_slot(kept.place)) {
+            self.backend.write_exposure(slot, Exposure::IDENTITY);
+        }
+    }
+
+    /// Slot of the exposure of the image in this place of the ring; `None` when exposures are not learned.
+    pub(super) fn exposure_slot(&self, place: usize) -> Option<u32> {
+        self.settings.learned_exposure.then_some(place as u32)
     }
 
     fn count(&mut self, report: &InsertReport) {

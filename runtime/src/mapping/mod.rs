@@ -7,6 +7,7 @@
 pub mod capacity;
 mod decoder;
 mod depth;
+mod depths;
 mod evict;
 mod given_views;
 mod images;

@@ -59,7 +59,9 @@ impl Mapper {
                 camera: *self.images.camera(),
                 chunk_row: self.chunk_row(kept.keyframe.ordinal),
             };
-            let training_view = TrainingView { view, target, depth: None, exposure_slot: None };
+            let depth = self.depths.of(kept.keyframe.ordinal);
+            let exposure_slot = self.exposure_slot(kept.place);
+            let training_view = TrainingView { view, target, depth, exposure_slot };
             let step = self.backend.train_step(&training_view, &settings);
             self.list_load.add(&step.stats);
             if step.stats.refused {

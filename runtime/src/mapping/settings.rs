@@ -17,11 +17,12 @@ const STEP: StepSettings = StepSettings {
         log_scale: LearningRate::constant(0.035),
         opacity: LearningRate::constant(0.1),
         color: LearningRate { start: 0.12, end: 0.04 },
+        exposure: LearningRate::constant(0.003),
         decoder: DECODER,
         ..LearningRates::DIRECT
     },
     progress: 0.0,
-    weights: LossWeights { isotropy: 0.0, ..LossWeights::METHOD },
+    weights: LossWeights { depth: 0.0, isotropy: 0.0, ..LossWeights::METHOD },
     decoder_row: None,
     pose_gradient: false,
 };
@@ -66,6 +67,10 @@ pub struct MapperSettings {
     pub older_share: f32,
     /// Chunks have decoders that are learned; the splat backend must have room for them.
     pub learned_decoder: bool,
+    /// Every keyframe has an exposure that is learned beside the map; pictures are never corrected by it.
+    pub learned_exposure: bool,
+    /// Beyond this, the depth of motion stereo is trusted less, by the square of the distance, m.
+    pub trusted_depth_m: f32,
     /// How an optimizer step is taken.
     pub step: StepSettings,
     /// A page leaves when all its keyframes are farther away than this, m.
@@ -80,6 +85,11 @@ impl MapperSettings {
     /// Size of the training images relative to those of a camera so wide.
     pub fn resolution_for(&self, camera_width_px: u32) -> f64 {
         self.resolution.max(f64::from(self.min_width_px) / f64::from(camera_width_px.max(1))).min(1.0)
+    }
+
+    /// Whether steps look at the depth of keyframes.
+    pub fn trains_depth(&self) -> bool {
+        self.step.weights.depth > 0.0
     }
 
     /// The values that the shipped maps were measured with.
@@ -98,6 +108,8 @@ impl MapperSettings {
             newest_share: 0.35,
             older_share: 0.15,
             learned_decoder: false,
+            learned_exposure: false,
+            trusted_depth_m: 20.0,
             step: STEP,
             page_distance_m: 100.0,
             min_opacity: 0.05,

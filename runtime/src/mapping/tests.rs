@@ -33,6 +33,7 @@ const CAPACITY: MapperCapacity = MapperCapacity {
     gaussians_per_anchor: 2,
     voxels: 32_768,
     images: 8,
+    depths: 6,
     new_anchors: 600,
     keyframe_rows: 64,
     chunk_rows: 2,
@@ -137,6 +138,7 @@ fn mapper_on(
     let capacities = Capacities {
         keyframe_rows: capacity.keyframe_rows,
         chunk_rows: capacity.chunk_rows,
+        exposure_slots: capacity.images,
         learned_decoder: settings.learned_decoder,
         ..Capacities::for_map(capacity.anchors, 2, CAMERA.width, CAMERA.height)
     };
@@ -245,6 +247,9 @@ fn a_new_chunk_begins_with_the_decoder_of_the_one_before_which_is_frozen() {
     assert!(mapper.backend.read_decoder(0, &mut after[0]) && after[0] == fresh[0], "a closed chunk is frozen");
     assert!(mapper.backend.read_decoder(1, &mut after[1]) && after[1] != fresh[1], "the new one learns");
 }
+
+#[path = "loss_term_tests.rs"]
+mod loss_terms;
 
 #[test]
 fn a_full_pool_refuses_and_says_how_often() {

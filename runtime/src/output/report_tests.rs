@@ -79,7 +79,7 @@ fn the_plan_of_the_shipped_budget_is_listed_with_its_peaks() {
         height: 376,
         frame_bytes: 1241 * 376,
         color_channels: 1,
-        mapping: crate::budget::MappingPlan { resolution: 0.5, window: 6, learned_decoder: false },
+        mapping: crate::budget::MappingPlan { resolution: 0.5, window: 6, learned_decoder: false, trains_depth: true },
         compute: crate::budget::ComputeMemory::Cpu,
     };
     let plan = Plan::compute(&budget, &input);

@@ -189,6 +189,7 @@ impl MappingWork {
         self.usage.observe(Row::MapVoxels, n_anchors);
         self.usage.observe(Row::MapWorkspaces, 1);
         self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
+        self.usage.observe(Row::MapKeyframeDepths, self.mapper.n_kept_depths());
         for (row, n) in [
             (Row::MapKeyframeImages, n_keyframes),
             (Row::MapKeyframes, ordinal as usize + 1),

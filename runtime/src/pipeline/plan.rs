@@ -97,6 +97,8 @@ impl RunPlan {
         let mut settings = mapping_settings(args, &format)?;
         // Pages leave when they are trained, wherever they are.
         settings.mapping.mapper.page_distance_m = f64::INFINITY;
+        // Views are trained in any order and at their own size, long after their depth was estimated.
+        settings.mapping.mapper.step.weights.depth = 0.0;
         let budget = args.budget()?;
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
         check_views(format.n_frames.unwrap_or(0), budget.capacity(Row::StoreKeyframeTable) as u64)?;
@@ -115,9 +117,8 @@ impl RunPlan {
         }
         let simd = args.simd()?;
         let compute = args.compute()?;
-        let learned_decoder = settings.mapping.mapper.learned_decoder;
-        let window = settings.mapping.mapper.window;
-        let mapping = MappingPlan { resolution: training_resolution, window, learned_decoder };
+        let mapper = &settings.mapping.mapper;
+        let mapping = MappingPlan { resolution: training_resolution, ..MappingPlan::of(mapper, format.camera.width) };
         let memory_input = plan_input(&format, mapping, compute.memory());
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
