@@ -172,8 +172,9 @@ impl Tile {
                 while blocks != 0 {
                     let block = blocks.trailing_zeros() as usize % TILE_BLOCKS;
                     blocks &= blocks - 1;
-                    self.count_block(simd, &lanes, block, block_offset_px(block, from_mean_px), &mut sums);
-                    if block_has_ended(simd, &self.transmittance, block) {
+                    let offset_px = block_offset_px(block, from_mean_px);
+                    let ended = self.count_block(simd, &lanes, block, offset_px, &mut sums);
+                    if ended && block_has_ended(simd, &self.transmittance, block) {
                         alive_blocks &= !(1 << block);
                     }
                 }
@@ -187,7 +188,7 @@ impl Tile {
         }
     }
 
-    /// Adds the contributions of one splat to one block to `sums`.
+    /// Adds the contributions of one splat to one block to `sums`; true when a pixel has ended.
     #[inline(always)]
     fn count_block<S: Simd>(
         &mut self,
@@ -196,7 +197,8 @@ impl Tile {
         block: usize,
         offset_px: [f32; 2],
         sums: &mut [Wide<S>; 2],
-    ) {
+    ) -> bool {
+        let mut any_ended = false;
         for lane in (0..BLOCK_PIXELS).step_by(S::F32_LANES) {
             let hit = splat.hit(simd, lane, offset_px);
             let at = block * BLOCK_PIXELS + lane;
@@ -211,9 +213,13 @@ impl Tile {
                 weight.constant(1.0).replace(weight.lt(weight.constant(f64::from(MIN_CONTRIBUTION))), zero);
             sums[COVERED] = sums[COVERED] + contributes;
             sums[MASKED] = contributes.mul_add(Wide::load(simd, &self.marks[pixels.clone()]), sums[MASKED]);
-            // A pixel that has ended is negative, so that it never goes on.
-            let next = (-before.abs()).replace(goes_on, after);
+            // What is behind less than the least contribution contributes nothing. A pixel that has ended is negative, so
+            // that it never goes on.
+            let shows_more = before.constant(f64::from(MIN_CONTRIBUTION)).lt(after);
+            let next = (-before.abs()).replace(shows_more, after);
+            any_ended |= next.any(before.and(hit.seen, next.lt(zero)));
             before.replace(hit.seen, next).store(&mut self.transmittance[pixels]);
         }
+        any_ended
     }
 }
