@@ -1,4 +1,11 @@
-//! Camera geometry: where a ray meets the image.
+//! Camera geometry: where a ray meets the image, and what a lens does to it.
+//!
+//! Everything but this folder knows the ideal [`Pinhole`] only: images of a real lens are rectified where they come in.
+
+mod lens;
+pub mod rectify;
+
+pub use lens::{Lens, LensFolds};
 
 use nalgebra::{Vector2, Vector3};
 

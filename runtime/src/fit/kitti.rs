@@ -17,7 +17,7 @@ pub(super) fn open(request: &SceneRequest<'_>, poses: &Path) -> Result<Scene, Sc
     let described = describe(request.scene, request.camera, (!has_times).then_some(made_up_fps))?;
     let n_views = request.frames.map_or(described.images.len(), |frames| frames.min(described.images.len()));
     let world_from_camera = poses_of(poses, &described.images, n_views)?;
-    let images = ImageList::open(described.images.into_iter().take(n_views).collect())?;
+    let images = ImageList::open(described.images.into_iter().take(n_views).collect())?.rectified(described.distortion);
     let views = world_from_camera.into_iter().zip(described.timestamps_ns);
     Ok(Scene {
         camera: described.format.camera,

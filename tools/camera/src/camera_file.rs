@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use kilogs_core::camera::{Mounting, Pinhole};
+use kilogs_core::camera::{Lens, Mounting, Pinhole};
 use serde::Deserialize;
 
 use crate::source::SourceError;
@@ -52,6 +52,7 @@ impl From<&str> for CameraArgument {
 pub struct CameraFile {
     path: PathBuf,
     typed: TypedCamera,
+    lens: Lens,
 }
 
 /// A camera file as typed.
@@ -95,7 +96,7 @@ impl CameraFile {
 
     /// A file that gives nothing.
     pub(crate) fn nothing(path: &Path) -> Self {
-        Self { path: path.to_owned(), typed: TypedCamera::default() }
+        Self { path: path.to_owned(), typed: TypedCamera::default(), lens: Lens::Pinhole }
     }
 
     /// Where it was read.
@@ -123,6 +124,11 @@ impl CameraFile {
             cx: cx.unwrap_or(from_data_set.cx),
             cy: cy.unwrap_or(from_data_set.cy),
         }
+    }
+
+    /// What the lens does to the images.
+    pub fn lens(&self) -> Lens {
+        self.lens
     }
 
     /// The mounting, over that of a preset where there is one; `None` when neither gives the height.
@@ -160,6 +166,11 @@ impl CameraFile {
             let reason = "a live camera needs width, height, fx, fy, cx and cy; add what is missing";
             return Err(SourceError::camera(&self.path, reason));
         };
+        if self.lens != Lens::Pinhole {
+            let reason = "a live camera has to publish rectified images, as `kilogs-camera folder` does; rectify them \
+                          there, and write model = \"pinhole\" with the intrinsics of the rectified images";
+            return Err(SourceError::camera(&self.path, reason));
+        }
         let camera = pinhole(size, intrinsics).map_err(|reason| SourceError::camera(&self.path, reason))?;
         Ok((camera, self.mounting(None)?))
     }
@@ -168,11 +179,12 @@ impl CameraFile {
         let typed: TypedCamera =
             toml::from_str(text).map_err(|e| SourceError::camera(path, e.to_string().trim_end().to_owned()))?;
         typed.check().map_err(|reason| SourceError::camera(path, reason))?;
+        let lens = typed.lens().map_err(|reason| SourceError::camera(path, reason))?;
         let forward_axis = typed.forward_axis.map(|[x, y, z]| {
             let length = (x * x + y * y + z * z).sqrt();
             [x / length, y / length, z / length]
         });
-        Ok(Self { path: path.to_owned(), typed: TypedCamera { forward_axis, ..typed } })
+        Ok(Self { path: path.to_owned(), typed: TypedCamera { forward_axis, ..typed }, lens })
     }
 }
 
@@ -189,20 +201,31 @@ pub(crate) fn pinhole(size: [u32; 2], intrinsics: Intrinsics) -> Result<Pinhole,
 }
 
 impl TypedCamera {
-    fn check(&self) -> Result<(), String> {
-        match self.model {
-            None | Some(LensModel::Pinhole) => (),
-            Some(LensModel::RadialTangential | LensModel::KannalaBrandt) => {
-                return Err(
-                    "this lens model is not supported yet; rectify the images and write model = \"pinhole\"".to_owned()
-                );
+    fn lens(&self) -> Result<Lens, String> {
+        if let Some(number) = self.coefficients.iter().find(|number| !number.is_finite()) {
+            return Err(format!("coefficient {number} is not a finite number"));
+        }
+        let n = self.coefficients.len();
+        match (self.model, self.coefficients.as_slice()) {
+            (None | Some(LensModel::Pinhole), given) if given.iter().all(|&k| k == 0.0) => Ok(Lens::Pinhole),
+            (None | Some(LensModel::Pinhole), _) => Err("a pinhole has no coefficients; leave them out, or write \
+                 model = \"radial_tangential\" or \"kannala_brandt\""
+                .to_owned()),
+            (Some(LensModel::RadialTangential), &[k1, k2, p1, p2]) => Ok(Lens::RadialTangential([k1, k2, p1, p2, 0.0])),
+            (Some(LensModel::RadialTangential), &[k1, k2, p1, p2, k3]) => {
+                Ok(Lens::RadialTangential([k1, k2, p1, p2, k3]))
+            }
+            (Some(LensModel::RadialTangential), _) => {
+                Err(format!("radial_tangential has coefficients [k1, k2, p1, p2] or [k1, k2, p1, p2, k3], not {n}"))
+            }
+            (Some(LensModel::KannalaBrandt), &[k1, k2, k3, k4]) => Ok(Lens::KannalaBrandt([k1, k2, k3, k4])),
+            (Some(LensModel::KannalaBrandt), _) => {
+                Err(format!("kannala_brandt has coefficients [k1, k2, k3, k4], not {n}"))
             }
         }
-        if self.coefficients.iter().any(|&coefficient| coefficient != 0.0) {
-            return Err("coefficients belong to a lens model that is not supported yet; rectify the images and leave \
-                        them out"
-                .to_owned());
-        }
+    }
+
+    fn check(&self) -> Result<(), String> {
         if self.width.or(self.height).is_some() && self.width.and(self.height).is_none() {
             return Err("width and height belong together; give both or neither".to_owned());
         }
@@ -273,12 +296,28 @@ mod tests {
         check("height_m = 0\n", "height_m = 0 is not a number above 0");
         check("forward_axis = [0, 0, 0]\n", "forward_axis has no direction");
         check("forward_axis = [0, 1]\n", "invalid length");
-        check("model = \"kannala_brandt\"\n", "not supported yet");
-        check("model = \"radial_tangential\"\n", "not supported yet");
+        check("model = \"kannala_brandt\"\n", "[k1, k2, k3, k4], not 0");
+        check("model = \"kannala_brandt\"\ncoefficients = [1, 2, 3, 4, 5]\n", "[k1, k2, k3, k4], not 5");
+        check("model = \"radial_tangential\"\ncoefficients = [1, 2, 3]\n", "[k1, k2, p1, p2, k3], not 3");
+        check("model = \"radial_tangential\"\ncoefficients = [1, 2, nan, 4]\n", "coefficient NaN is not a finite");
+        check("model = \"pinhole\"\ncoefficients = [0.1]\n", "a pinhole has no coefficients");
         check("model = \"fisheye\"\n", "unknown variant `fisheye`");
-        check("coefficients = [0.1]\n", "not supported yet");
+        check("coefficients = [0.1]\n", "write model = \"radial_tangential\"");
         let without_height = parse("pitch_rad = 0.1\n").expect("a file").mounting(None);
         assert!(without_height.is_err_and(|e| e.to_string().contains("without height_m")));
+    }
+
+    #[test]
+    fn a_lens_is_taken_from_recordings_but_not_from_live_cameras() {
+        let file = |lens: &str| parse(&[COMPLETE, lens].concat()).expect("a file");
+        let brown = file("model = \"radial_tangential\"\ncoefficients = [0.1, 0.2, 0.3, 0.4]\n");
+        assert_eq!(brown.lens(), Lens::RadialTangential([0.1, 0.2, 0.3, 0.4, 0.0]));
+        let with_k3 = file("model = \"radial_tangential\"\ncoefficients = [0.1, 0.2, 0.3, 0.4, 0.5]\n");
+        assert_eq!(with_k3.lens(), Lens::RadialTangential([0.1, 0.2, 0.3, 0.4, 0.5]));
+        let fisheye = file("model = \"kannala_brandt\"\ncoefficients = [0.1, 0.2, 0.3, 0.4]\n");
+        assert_eq!(fisheye.lens(), Lens::KannalaBrandt([0.1, 0.2, 0.3, 0.4]));
+        assert_eq!(file("model = \"pinhole\"\ncoefficients = [0, 0]\n").lens(), Lens::Pinhole);
+        assert!(brown.complete().is_err_and(|e| e.to_string().contains("publish rectified images")));
     }
 
     #[test]

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use kilogs_camera::camera_file::{CameraArgument, KITTI_MOUNTING};
-use kilogs_camera::source::{FolderSource, IndexedFrames, PixelFormat, SourceError, describe};
+use kilogs_camera::source::{FolderSource, ImageList, IndexedFrames, PixelFormat, SourceError, describe};
+use kilogs_core::camera::{Lens, Pinhole};
+use nalgebra::Vector2;
 use tempfile::TempDir;
 
 const CALIB: &str = "P0: 40 0 23.5 0 0 41 15.5 0 0 0 1 0\nP2: 50 0 24 9 0 51 16 9 0 0 1 9\n";
@@ -190,6 +192,45 @@ fn a_bad_image_is_an_error_of_its_own_and_the_next_one_is_read() {
     check(3, Err("the file is empty"));
     check(4, Err("the image has 47x32 px, the recording 48x32 px"));
     check(5, Ok(5));
+}
+
+#[test]
+fn images_of_a_lens_arrive_rectified() {
+    const SEEN: Pinhole = Pinhole { width: 48, height: 32, fx: 40.0, fy: 41.0, cx: 24.0, cy: 16.0 };
+    let lens = Lens::RadialTangential([-0.3, 0.1, 0.001, -0.002, 0.0]);
+    let scenery = |ray: &Vector2<f64>| (128.0 + 90.0 * (3.0 * ray.x).sin() * (4.0 * ray.y).cos()).round() as u8;
+    let recording = Recording::new();
+    recording.text(
+        "camera.toml",
+        "model = \"radial_tangential\"\ncoefficients = [-0.3, 0.1, 0.001, -0.002]\nwidth = 48\nheight = 32\n",
+    );
+    let center = |x: u32, y: u32| SEEN.unproject_z1(&Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+    let photo = GrayImage::from_fn(48, 32, |x, y| Luma([scenery(&lens.undistort(&center(x, y)).expect("a ray"))]));
+    photo.save(recording.path("images/000001.png")).expect("an image");
+    let ideal: Vec<u8> = (0..48 * 32).map(|i| scenery(&center(i % 48, i / 48))).collect();
+    let check = |pixels: &[u8], what: &str| {
+        let worst = pixels.iter().zip(&ideal).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst <= Some(2), "{what}: off by {worst:?}");
+    };
+    assert!(photo.iter().zip(&ideal).any(|(a, b)| a.abs_diff(*b) > 10), "the lens does nothing");
+    let mut source = recording.open(None, None).expect("a recording");
+    assert_eq!(source.format().camera, SEEN);
+    let mut pixels = vec![0; 48 * 32];
+    source.read_frame(1, &mut pixels).expect("an image");
+    check(&pixels, "frame by frame");
+    let described = describe(recording.folder.path(), None, None).expect("a recording");
+    let mut list = ImageList::open(described.images).expect("images").rectified(described.distortion);
+    list.read(1, &mut pixels).expect("an image");
+    check(&pixels, "as a list");
+}
+
+#[test]
+fn a_lens_that_cannot_be_is_named() {
+    let with = |text: &'static str| move |r: &Recording| r.text("camera.toml", text);
+    let folds = with("model = \"radial_tangential\"\ncoefficients = [-2.0, 0, 0, 0]\n");
+    check_refused(folds, None, "folds back on itself");
+    let too_few = with("model = \"kannala_brandt\"\ncoefficients = [0.1]\n");
+    check_refused(too_few, None, "kannala_brandt has coefficients [k1, k2, k3, k4], not 1");
 }
 
 #[test]

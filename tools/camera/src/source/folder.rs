@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use kilogs_core::conventions::TimestampNs;
 
 use super::image_file::{ImageKind, ImageReader};
-use super::{FrameInfo, IndexedFrames, SourceError, SourceFormat, calibration, times};
+use super::{Distortion, FrameInfo, IndexedFrames, SourceError, SourceFormat, calibration, times};
 use crate::camera_file::{CAMERA_FILE_NAME, CameraArgument, CameraFile, Intrinsics, KITTI_MOUNTING, pinhole};
 
 /// Image folders in the order in which they are looked for, with the calibration rows that may describe them.
@@ -18,6 +18,8 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 pub struct CameraDescription {
     /// Size, intrinsics, mounting, pixel format and number of frames.
     pub format: SourceFormat,
+    /// What the images on disk have to be rid of to be those of the format's camera.
+    pub distortion: Option<Distortion>,
     /// The image of each frame.
     pub images: Vec<PathBuf>,
     /// Time of each frame.
@@ -32,7 +34,7 @@ pub fn describe(dataset: &Path, camera: Option<&str>, fps: Option<f64>) -> Resul
     let source = FolderSource::open(dataset, camera.map(CameraArgument::from).as_ref(), fps)?;
     let format = source.format();
     let images = source.file_names.iter().map(|name| source.folder.join(&**name)).collect();
-    Ok(CameraDescription { format, images, timestamps_ns: source.timestamps_ns })
+    Ok(CameraDescription { format, distortion: source.distortion, images, timestamps_ns: source.timestamps_ns })
 }
 
 /// Reads the images of a folder.
@@ -41,6 +43,7 @@ pub struct FolderSource {
     file_names: Vec<Box<str>>,
     timestamps_ns: Vec<TimestampNs>,
     format: SourceFormat,
+    distortion: Option<Distortion>,
     reader: ImageReader,
     path: PathBuf,
 }
@@ -61,9 +64,11 @@ impl FolderSource {
         };
         let mut reader = ImageReader::default();
         let kind = first_readable(&mut reader, &layout.folder, &file_names)?;
-        let format = SourceFormat { n_frames: Some(file_names.len() as u64), ..read_format(&layout, camera, kind)? };
+        let (format, distortion) = read_format(&layout, camera, kind)?;
+        let format = SourceFormat { n_frames: Some(file_names.len() as u64), ..format };
+        reader.rectify(distortion);
         let path = layout.folder.join("image");
-        Ok(Self { folder: layout.folder, file_names, timestamps_ns, format, reader, path })
+        Ok(Self { folder: layout.folder, file_names, timestamps_ns, format, distortion, reader, path })
     }
 }
 
@@ -159,7 +164,11 @@ fn first_readable(reader: &mut ImageReader, folder: &Path, names: &[Box<str>]) -
     Err(first_problem.unwrap_or_else(|| SourceError::file(folder, "the folder has no images")))
 }
 
-fn read_format(layout: &Layout, camera: Option<&CameraArgument>, kind: ImageKind) -> Result<SourceFormat, SourceError> {
+fn read_format(
+    layout: &Layout,
+    camera: Option<&CameraArgument>,
+    kind: ImageKind,
+) -> Result<(SourceFormat, Option<Distortion>), SourceError> {
     let calib_path = layout.root.join("calib.txt");
     let beside = [&layout.root, &layout.folder].map(|folder| folder.join(CAMERA_FILE_NAME));
     let beside = beside.iter().find(|path| path.is_file());
@@ -183,7 +192,10 @@ fn read_format(layout: &Layout, camera: Option<&CameraArgument>, kind: ImageKind
         Some(complete) => complete,
         None => file.overriding(from_calib()?),
     };
-    let camera = pinhole(kind.size, intrinsics).map_err(|reason| SourceError::camera(file.path(), reason))?;
+    let seen = pinhole(kind.size, intrinsics).map_err(|reason| SourceError::camera(file.path(), reason))?;
+    let (camera, distortion) =
+        Distortion::of(file.lens(), seen).map_err(|reason| SourceError::camera(file.path(), reason))?;
     let mounting = file.mounting(preset)?;
-    Ok(SourceFormat { camera, mounting, pixel_format: kind.pixel_format, n_frames: None })
+    let format = SourceFormat { camera, mounting, pixel_format: kind.pixel_format, n_frames: None };
+    Ok((format, distortion))
 }

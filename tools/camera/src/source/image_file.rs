@@ -8,6 +8,8 @@ use image::codecs::{jpeg::JpegDecoder, png::PngDecoder};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
 use kilogs_core::frame::PixelFormat;
 
+use super::rectifier::{Distortion, Rectifier};
+
 /// What the header of an image file says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ImageKind {
@@ -19,9 +21,15 @@ pub(super) struct ImageKind {
 #[derive(Default)]
 pub(super) struct ImageReader {
     encoded: Vec<u8>,
+    rectifier: Option<Rectifier>,
 }
 
 impl ImageReader {
+    /// From now on delivers images as an ideal camera would have taken them.
+    pub fn rectify(&mut self, distortion: Option<Distortion>) {
+        self.rectifier = distortion.map(Rectifier::new);
+    }
+
     /// Size and color of the image, from its header.
     pub fn probe(&mut self, path: &Path) -> Result<ImageKind, String> {
         match self.load(path)? {
@@ -32,6 +40,14 @@ impl ImageReader {
 
     /// Decodes the image, which must be of `expected.size`; its color is converted where it differs.
     pub fn decode(&mut self, path: &Path, expected: ImageKind, pixels: &mut [u8]) -> Result<(), String> {
+        let Some(mut rectifier) = self.rectifier.take() else { return self.decode_photo(path, expected, pixels) };
+        let photo = |photo: &mut [u8]| self.decode_photo(path, expected, photo);
+        let result = rectifier.rectify(expected.pixel_format, pixels, photo);
+        self.rectifier = Some(rectifier);
+        result
+    }
+
+    fn decode_photo(&mut self, path: &Path, expected: ImageKind, pixels: &mut [u8]) -> Result<(), String> {
         match self.load(path)? {
             ImageFormat::Png => decode_into(png(&self.encoded)?, expected, pixels),
             _ => {

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use kilogs_core::frame::PixelFormat;
 
-use super::SourceError;
 use super::image_file::{ImageKind, ImageReader};
+use super::{Distortion, SourceError};
 
 /// Reads any of a list of image files, all of one size.
 pub struct ImageList {
@@ -40,6 +40,13 @@ impl ImageList {
         let kind = first.map(|(_, kind)| kind);
         let kind = kind.ok_or_else(|| SourceError::Range("the list of images is empty".to_owned()))?;
         Ok(Self { paths, kind, reader })
+    }
+
+    /// Delivers images as an ideal camera would have taken them.
+    #[must_use]
+    pub fn rectified(mut self, distortion: Option<Distortion>) -> Self {
+        self.reader.rectify(distortion);
+        self
     }
 
     /// Width and height of every image, px.

@@ -5,6 +5,7 @@ mod folder;
 mod image_file;
 mod image_list;
 mod playback;
+mod rectifier;
 mod times;
 
 use std::path::{Path, PathBuf};
@@ -16,11 +17,12 @@ pub use kilogs_core::frame::PixelFormat;
 pub use folder::{CameraDescription, FolderSource, describe};
 pub use image_list::ImageList;
 pub use playback::{Playback, PlaybackRange, STANDING_FRAMES, Schedule};
+pub use rectifier::Distortion;
 
 /// What every frame of a source has in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFormat {
-    /// Size and intrinsics, pixel centres at +0.5.
+    /// Size and intrinsics, pixel centres at +0.5; always a pinhole, because images of a lens are rectified.
     pub camera: Pinhole,
     /// How the camera sits on the vehicle, where the source knows it.
     pub mounting: Option<Mounting>,
