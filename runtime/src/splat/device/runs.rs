@@ -44,7 +44,7 @@ pub(super) type Parts = heapless::Vec<Part, { Part::ALL.len() }>;
 const BOUNDS_BYTES: usize = 16;
 
 impl<E: Executor> DeviceBackend<E> {
-    fn work(&self, view: &View) -> WorkSize {
+    pub(super) fn work(&self, view: &View) -> WorkSize {
         WorkSize { slots: self.slots.end() as u32, width_px: view.camera.width, height_px: view.camera.height }
     }
 

@@ -19,6 +19,12 @@ pub trait Device: SplatBackend {
     /// Loss of a training view and the same gradients; nothing is trained.
     fn training_gradients(&mut self, training: &TrainingView<'_>, settings: &StepSettings) -> TrainingGradients;
 
+    /// Bytes of the device's memory.
+    fn arena_bytes(&self) -> u64;
+
+    /// Runs one stage again on what is there, and waits for it.
+    fn run_stage(&mut self, view: &View, part: Part, idx: usize);
+
     /// First words of a buffer.
     fn words(&self, buffer: Buffer, n: usize) -> Vec<u32>;
 
@@ -51,6 +57,19 @@ impl<E: Executor> Device for DeviceBackend<E> {
         TrainingGradients { report, params, texels }
     }
 
+    fn arena_bytes(&self) -> u64 {
+        self.device_bytes() as u64
+    }
+
+    fn run_stage(&mut self, view: &View, part: Part, idx: usize) {
+        let work = self.work(view);
+        let ran = self.device.call(|e| {
+            e.run_stage(part, idx, &work)?;
+            e.download(Buffer::Counters, 0, &mut [0; 4])
+        });
+        assert!(ran, "{:?}", self.failure());
+    }
+
     fn words(&self, buffer: Buffer, n: usize) -> Vec<u32> {
         let mut out = vec![0u32; n];
         assert!(self.device.call(|e| e.download(buffer, 0, out.as_mut_bytes())), "{:?}", self.failure());
@@ -65,9 +84,19 @@ impl<E: Executor> Device for DeviceBackend<E> {
 /// Calls `check` with a backend of every device API that is present; without a device says so, or fails when
 /// `KILOGS_REQUIRE_VULKAN=1`.
 pub fn on_every_device(capacities: Capacities, mut check: impl FnMut(&str, &mut dyn Device)) {
+    on_vulkan(capacities, &mut check);
+    on_wgpu(capacities, check);
+}
+
+/// The same with Vulkan alone.
+pub fn on_vulkan(capacities: Capacities, check: impl FnOnce(&str, &mut dyn Device)) {
     if let Some(executor) = vulkan_executor(&capacities) {
         check("vulkan", &mut VulkanBackend::new(capacities, executor).unwrap_or_else(|e| panic!("{e}")));
     }
+}
+
+/// The same with wgpu alone.
+pub fn on_wgpu(capacities: Capacities, check: impl FnOnce(&str, &mut dyn Device)) {
     if let Some(executor) = wgpu_executor(&capacities) {
         check("wgpu", &mut WgpuBackend::new(capacities, executor).unwrap_or_else(|e| panic!("{e}")));
     }

@@ -1,6 +1,7 @@
 mod against_cpu;
 mod decoder;
 mod devices;
+mod driver_memory;
 mod fallback;
 mod gradients;
 mod kernels;

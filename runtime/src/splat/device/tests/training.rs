@@ -11,21 +11,21 @@ use crate::splat::*;
 use zerocopy::IntoBytes;
 
 /// A training view of random Gaussians.
-struct Problem {
-    capacities: Capacities,
+pub struct Problem {
+    pub capacities: Capacities,
     headers: Vec<AnchorHeader>,
     params: Vec<GaussianParams>,
     view: View,
     target: Vec<[f32; 3]>,
     depth_m: Vec<f32>,
     confidence: Vec<f32>,
-    settings: StepSettings,
+    pub settings: StepSettings,
 }
 
 const EXPOSURE: Exposure = Exposure { gain: [1.1, 0.9, 1.0], bias: [0.02, -0.03, 0.0] };
 
 impl Problem {
-    fn new(width: u32, height: u32, n_anchors: usize) -> Self {
+    pub fn new(width: u32, height: u32, n_anchors: usize) -> Self {
         let view = view(width, height);
         let (headers, params) = anchors(n_anchors, 5);
         let mut capacities = Capacities::for_map(n_anchors, K, width, height);
@@ -39,7 +39,7 @@ impl Problem {
         Self { capacities, headers, params, view, target, depth_m, confidence, settings: StepSettings::direct(0.3) }
     }
 
-    fn fill(&self, backend: &mut dyn SplatBackend) {
+    pub fn fill(&self, backend: &mut dyn SplatBackend) {
         let slots: Vec<u32> = (0..self.headers.len() as u32).collect();
         assert_eq!(backend.write_anchors(&slots, &self.headers, &self.params), 0);
         let texels: Vec<[f32; 3]> =
@@ -54,7 +54,7 @@ impl Problem {
         backend
     }
 
-    fn training(&self) -> TrainingView<'_> {
+    pub fn training(&self) -> TrainingView<'_> {
         TrainingView {
             view: self.view,
             target: TargetImage::RgbF32(&self.target),
