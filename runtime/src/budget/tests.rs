@@ -1,6 +1,8 @@
 //! The tables that hold the budget to its contract.
 
 use super::*;
+use crate::splat::device::Executor as _;
+use crate::splat::vulkan::{VulkanExecutor, testing};
 
 const COLOR_KITTI: PlanInput = PlanInput {
     width: 1241,
@@ -190,6 +192,18 @@ fn a_device_with_its_own_memory_has_its_own_cap() {
     let message =
         Plan::compute(&small, &PlanInput { compute: ComputeMemory::OwnDevice, ..COLOR_KITTI }).check().unwrap_err();
     assert!(message.to_string().contains("device memory"), "{message}");
+}
+
+#[test]
+fn the_arena_of_the_tiny_profile_opens_within_its_cap() {
+    let Some(device) = testing::device() else { return };
+    let budget = profile("tiny.toml");
+    let input = PlanInput { compute: ComputeMemory::OwnDevice, ..TINY_CAMERA };
+    let plan = Plan::compute(&budget, &input);
+    assert!(plan.device_bytes() <= budget.device_bytes(), "{plan}");
+    let opened = VulkanExecutor::new(&device, &budget.splat_capacities(&input), plan.arena_bytes());
+    let taken = opened.unwrap_or_else(|e| panic!("{e}")).device_bytes() as u64;
+    assert!((1 << 20..=plan.device_bytes()).contains(&taken), "{taken} B of {} B planned", plan.device_bytes());
 }
 
 #[test]
