@@ -134,6 +134,3 @@ pub struct FrameReport {
     /// Road points (or pixels) behind the scale.
     pub n_road: u32,
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,15 +1,11 @@
-use super::*;
-use crate::bundle::ReducedSystem;
-use crate::camera::{Mounting, Pinhole};
-use crate::features::SimdLevel;
-use crate::features::corners::Corner;
-use crate::features::lk::Flow;
-use crate::features::tracks::{Track, TrackStorage};
-use crate::frame::ImageView;
-use crate::keyframe::Landmark;
-use crate::pose::{LandmarkMatch, Match};
+//! The tracker on a painted street: what it finds, and what it does when there is nothing to find.
+
+use kilogs_core::camera::{Mounting, Pinhole};
+use kilogs_core::conventions::TimestampNs;
+use kilogs_core::frame::ImageView;
+use kilogs_core::math::Rng;
+use kilogs_core::tracking::{FrameReport, FrameStatus, StatusReason, Tracker};
 use nalgebra::Vector3;
-use std::{boxed::Box, vec, vec::Vec};
 
 const WIDTH: usize = 480;
 const HEIGHT: usize = 200;
@@ -26,10 +22,8 @@ const FRAME_NS: TimestampNs = 100_000_000;
 /// Grey of a surface, smooth between random values on a grid of `cell_m`.
 fn texture(seed: u64, a: f64, b: f64, cell_m: f64) -> f64 {
     let (a, b) = (a / cell_m, b / cell_m);
-    let (i, j) = (libm::floor(a), libm::floor(b));
-    let at = |di: f64, dj: f64| {
-        crate::math::Rng::new(seed, (i + di + 1e6) as u64, (j + dj + 1e6) as u64).unit_f64() * 200.0 + 20.0
-    };
+    let (i, j) = (a.floor(), b.floor());
+    let at = |di: f64, dj: f64| Rng::new(seed, (i + di + 1e6) as u64, (j + dj + 1e6) as u64).unit_f64() * 200.0 + 20.0;
     let (u, v) = (a - i, b - j);
     let mix = |p: f64, q: f64, w: f64| p + w * (q - p);
     mix(mix(at(0.0, 0.0), at(1.0, 0.0), u), mix(at(0.0, 1.0), at(1.0, 1.0), u), v)
@@ -59,33 +53,8 @@ fn street(z_m: f64) -> Vec<u8> {
     pixels
 }
 
-/// Hands a tracker on fresh storage to `drive`.
 fn with_tracker<R>(drive: impl FnOnce(&mut Tracker<'_>) -> R) -> R {
-    let capacities = TrackerCapacities { width: WIDTH, height: HEIGHT, tracks: 512, landmarks: 2048 };
-    let n = capacities.tracks;
-    let mut pyramids = vec![vec![0; capacities.bytes_per_pyramid()]; N_PYRAMIDS];
-    let [first, second, third] = &mut pyramids[..] else { panic!("three pyramids") };
-    let point = KeyframePoint { pixel: [0.0; 2], depth_m: 0.0, relative_sigma: 0.0 };
-    let storage = TrackerStorage {
-        pyramids: [first, second, third],
-        tracks: TrackStorage {
-            tracks: &mut vec![Track::NONE; n],
-            flows: &mut vec![Flow::new([0.0; 2], [0.0; 2]); n],
-            corners: &mut vec![Corner::NONE; n],
-            distances_px: &mut vec![0.0; n],
-        },
-        landmarks: &mut vec![Landmark::default(); capacities.landmarks],
-        matches: &mut vec![Match::default(); n],
-        landmark_matches: &mut vec![LandmarkMatch::default(); n],
-        is_inlier: &mut vec![false; n],
-        landmark_of_track: &mut vec![0; n],
-        landmark_of_match: &mut vec![0; n],
-        keyframe_points: &mut vec![point; n],
-        bundle: &mut Box::new(ReducedSystem::new()),
-    };
-    let settings = TrackingSettings::STANDARD;
-    let mut tracker = Tracker::new(CAMERA, MOUNTING, settings, SimdLevel::Scalar, 1, storage).expect("enough storage");
-    drive(&mut tracker)
+    kilogs_tests::tracker::with_tracker(CAMERA, MOUNTING, 1, drive)
 }
 
 fn step(tracker: &mut Tracker<'_>, pixels: &[u8], frame: u64) -> FrameReport {
@@ -100,7 +69,7 @@ fn step(tracker: &mut Tracker<'_>, pixels: &[u8], frame: u64) -> FrameReport {
 
 /// Standard deviation of the position, m.
 fn position_sigma_m(report: &FrameReport) -> f64 {
-    libm::sqrt((3..6).map(|k| report.covariance[(k, k)]).sum())
+    (3..6).map(|k| report.covariance[(k, k)]).sum::<f64>().sqrt()
 }
 
 #[test]
