@@ -88,11 +88,11 @@ pub fn least_work(stage: &str, n: &Counts) -> Option<Work> {
     match stage {
         "cull" => work(n.gaussians * GAUSSIAN_BYTES, n.gaussians * CULL_FLOPS),
         // Every anchor of the scenes is in view: features and stored numbers in, numbers out.
-        "decode" => work(
+        "decode" | "decode_anchors" => work(
             n.gaussians * (FEATURE_BYTES + GAUSSIAN_BYTES + size_of::<GaussianParams>() as f64),
             n.gaussians * DECODER_FLOPS,
         ),
-        "decode_backward" => work(
+        "decode_backward" | "decode_anchors_backward" => work(
             n.gaussians * (6.0 * FEATURE_BYTES + size_of::<GaussianParams>() as f64),
             n.gaussians * 2.5 * DECODER_FLOPS,
         ),

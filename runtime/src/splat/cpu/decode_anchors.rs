@@ -141,33 +141,41 @@ impl WithSimd for RunDecodeJob<'_, '_> {
             }
             let slot = job.first_slot + i;
             let chunk_row = job.seen.fixed.headers[slot].chunk_row;
-            if batch.n == BATCH || batch.chunk_row != chunk_row {
+            if batch.is_closed_to(chunk_row) {
                 batch.flush(simd, job);
                 batch.chunk_row = chunk_row;
             }
-            batch.push(slot, job);
+            batch.push(&job.seen, slot, &job.features[slot]);
         }
         batch.flush(simd, job);
     }
 }
 
 /// Anchors of one chunk row on their way through its decoder.
-struct Batch {
-    chunk_row: u16,
-    n: usize,
-    slots: [usize; BATCH],
-    inputs: Layer<INPUTS>,
-    hidden: Layer<HIDDEN>,
+pub struct Batch {
+    pub chunk_row: u16,
+    pub n: usize,
+    pub slots: [usize; BATCH],
+    pub inputs: Layer<INPUTS>,
+    pub hidden: Layer<HIDDEN>,
 }
 
 impl Batch {
-    fn new() -> Self {
+    /// No anchors.
+    pub fn new() -> Self {
         Self { chunk_row: 0, n: 0, slots: [0; BATCH], inputs: Layer::ZERO, hidden: Layer::ZERO }
     }
 
+    /// Whether an anchor of a chunk row has to wait until the batch is through.
     #[inline(always)]
-    fn push(&mut self, slot: usize, job: &DecodeJob<'_>) {
-        job.seen.inputs(slot, &job.features[slot], &mut self.inputs.0[self.n]);
+    pub fn is_closed_to(&self, chunk_row: u16) -> bool {
+        self.n == BATCH || self.chunk_row != chunk_row
+    }
+
+    /// Takes in an anchor with its feature.
+    #[inline(always)]
+    pub fn push(&mut self, seen: &SeenAnchors<'_>, slot: usize, feature: &AnchorFeature) {
+        seen.inputs(slot, feature, &mut self.inputs.0[self.n]);
         self.slots[self.n] = slot;
         self.n += 1;
     }

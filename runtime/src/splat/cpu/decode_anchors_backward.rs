@@ -6,7 +6,7 @@
 
 use super::adam::{BiasCorrection, adam};
 use super::decode::N_PARAMS;
-use super::decode_anchors::SeenAnchors;
+use super::decode_anchors::{Batch, SeenAnchors};
 use super::decoders::{Decoder, DecoderRule, transpose};
 use super::draw::Machine;
 use super::features::FeatureStorage;
@@ -140,15 +140,15 @@ impl WithSimd for RunBandJob<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let job = self.0;
         job.sums.fill(0.0);
-        let mut batch = Batch::new();
+        let mut batch = BatchBack::new();
         for slot in job.first_slot..job.end_slot {
             if job.shown.visible[slot] == 0 {
                 continue;
             }
             let chunk_row = job.seen.fixed.headers[slot].chunk_row;
-            if batch.n == BATCH || batch.chunk_row != chunk_row {
+            if batch.there.is_closed_to(chunk_row) {
                 batch.flush(simd, job);
-                batch.chunk_row = chunk_row;
+                batch.there.chunk_row = chunk_row;
             }
             batch.push(slot, job);
         }
@@ -157,59 +157,45 @@ impl WithSimd for RunBandJob<'_, '_> {
 }
 
 /// Anchors of one chunk row on their way back through its decoder.
-struct Batch {
-    chunk_row: u16,
-    n: usize,
-    slots: [usize; BATCH],
-    inputs: Layer<INPUTS>,
-    hidden: Layer<HIDDEN>,
+struct BatchBack {
+    there: Batch,
     hidden_grads: Layer<HIDDEN>,
     output_grads: Layer<MAX_OUTPUTS>,
 }
 
-impl Batch {
+impl BatchBack {
     fn new() -> Self {
-        Self {
-            chunk_row: 0,
-            n: 0,
-            slots: [0; BATCH],
-            inputs: Layer::ZERO,
-            hidden: Layer::ZERO,
-            hidden_grads: Layer::ZERO,
-            output_grads: Layer::ZERO,
-        }
+        Self { there: Batch::new(), hidden_grads: Layer::ZERO, output_grads: Layer::ZERO }
     }
 
     #[inline(always)]
     fn push(&mut self, slot: usize, job: &BandJob<'_>) {
-        if job.output_grads(slot, &mut self.output_grads.0[self.n]) {
-            job.seen.inputs(slot, &job.features.values[slot - job.first_slot], &mut self.inputs.0[self.n]);
-            self.slots[self.n] = slot;
-            self.n += 1;
+        if job.output_grads(slot, &mut self.output_grads.0[self.there.n]) {
+            self.there.push(&job.seen, slot, &job.features.values[slot - job.first_slot]);
         }
     }
 
     #[inline(always)]
     fn flush<S: Simd>(&mut self, simd: S, job: &mut BandJob<'_>) {
-        let n = core::mem::take(&mut self.n);
-        let Some(decoder) = job.seen.decoders.row(self.chunk_row).filter(|_| n > 0) else { return };
+        let n = core::mem::take(&mut self.there.n);
+        let Some(decoder) = job.seen.decoders.row(self.there.chunk_row).filter(|_| n > 0) else { return };
         for a in n..BATCH {
             self.output_grads.0[a][..decoder.outputs()].fill(0.0);
         }
-        hidden_layer(simd, decoder, &self.inputs, &mut self.hidden);
-        let learns = job.rule.row == Some(self.chunk_row);
+        hidden_layer(simd, decoder, &self.there.inputs, &mut self.there.hidden);
+        let learns = job.rule.row == Some(self.there.chunk_row);
         let (w1_b1, w2_b2) = job.sums.split_at_mut(decoder.first_layer_len());
         let (w1, b1) = w1_b1.split_at_mut(INPUTS * HIDDEN);
         let (w2, b2) = w2_b2.split_at_mut(HIDDEN * decoder.outputs());
         for first in (0..HIDDEN).step_by(S::F32_LANES) {
-            let grads = hidden_grads(simd, decoder, &self.output_grads, &self.hidden, first);
+            let grads = hidden_grads(simd, decoder, &self.output_grads, &self.there.hidden, first);
             let mut units = [Wide::splat(simd, 0.0); BATCH];
             for a in 0..BATCH {
                 grads[a].store(&mut self.hidden_grads.0[a][first..]);
-                units[a] = Wide::load(simd, &self.hidden.0[a][first..]);
+                units[a] = Wide::load(simd, &self.there.hidden.0[a][first..]);
             }
             if learns {
-                add_products(simd, &self.inputs, &grads, w1, first);
+                add_products(simd, &self.there.inputs, &grads, w1, first);
                 add_products(simd, &self.output_grads, &units, w2, first);
                 let mut sum = Wide::load(simd, &b1[first..]);
                 for a in 0..BATCH {
@@ -240,7 +226,7 @@ impl Batch {
         seen: &SeenAnchors<'_>,
         pose: &mut PoseSum,
     ) {
-        for (slot, hidden_grads) in self.slots[..n].iter().zip(&self.hidden_grads.0) {
+        for (slot, hidden_grads) in self.there.slots[..n].iter().zip(&self.hidden_grads.0) {
             let mut view_grads = [0.0; VIEW_INPUTS];
             for (grad, weights) in view_grads.iter_mut().zip(decoder.view_weights().chunks_exact(HIDDEN)) {
                 let mut sum = Wide::splat(simd, 0.0);
@@ -263,7 +249,7 @@ impl Batch {
         }
         let mut steps = [1.0f32; BATCH];
         for a in 0..n {
-            let taken = &mut storage.steps[self.slots[a] - job.first_slot];
+            let taken = &mut storage.steps[self.there.slots[a] - job.first_slot];
             if storage.collected.is_none() {
                 *taken = taken.saturating_add(1);
             }
@@ -275,7 +261,7 @@ impl Batch {
                 if a >= n {
                     break;
                 }
-                let at = self.slots[a] - job.first_slot;
+                let at = self.there.slots[a] - job.first_slot;
                 if let Some(collected) = &mut storage.collected {
                     grads[a].store(&mut collected[at][first..]);
                     continue;

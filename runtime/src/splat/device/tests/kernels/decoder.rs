@@ -98,7 +98,7 @@ fn decode_anchors() -> Case {
         view: view(),
         before: before([1.0; N_PARAMS as usize]),
         after: vec![(Buffer::Effective, reals(effective.into_iter().flat_map(|v| [v, 9.0])))],
-        mutation: ["max(sum[i], 0.0)", "min(sum[i], 0.0)"],
+        mutation: ["max(low[i], 0.0)", "min(low[i], 0.0)"],
     }
 }
 
@@ -136,7 +136,7 @@ fn decode_anchors_backward() -> Case {
             (Buffer::FeatureMoments, moments(0.1, 0.001, 1.0)),
             (Buffer::DecoderSums, [numbers(DECODER_PIECES as usize, &sums), reals(camera)].concat()),
         ],
-        mutation: ["hidden[a * HIDDEN_ROW + unit] * output_grad", "hidden[a * HIDDEN_ROW + unit] + output_grad"],
+        mutation: ["columns.low < drawn", "columns.low >= drawn"],
     }
 }
 
