@@ -122,32 +122,46 @@ impl KeyframeWindow {
         }
     }
 
-    /// Ray (plane z = 1) and inverse depth of a landmark in another camera; `None` behind it or without depth.
-    pub fn landmark_in(&self, landmark: &Landmark, camera_from_world: &Rigid) -> Option<(Vector2<f64>, f64)> {
+    /// A landmark as another camera sees it; `None` behind it or without depth.
+    pub fn landmark_in(&self, landmark: &Landmark, camera_from_world: &Rigid) -> Option<LandmarkView> {
         let host = self.at(landmark.host())?;
         let camera_from_host = camera_from_world * host.camera_from_world.inverse();
         in_camera(landmark, &camera_from_host)
     }
 
-    /// The oldest remaining keyframe that saw the landmark, with its inverse depth there.
+    /// The oldest remaining keyframe that saw the landmark, with its inverse depth and that one's sigma there.
     fn rehost(&self, landmark: &Landmark, leaving: &Keyframe) -> Option<(Column, f64, f64)> {
         let next = self.columns_by_age().find(|&c| c != landmark.host() && landmark.seen_by(c).is_some())?;
         if !landmark.has_depth() {
             return Some((next, 0.0, 0.0));
         }
         let next_from_host = self.at(next)?.camera_from_world * leaving.camera_from_world.inverse();
-        let (_, inverse_depth) = in_camera(landmark, &next_from_host)?;
-        // d(1/z')/d(1/z) = (z/z')^2 for motion along the axis, the usual case.
-        let ratio = if landmark.inverse_depth > 0.0 { inverse_depth / landmark.inverse_depth } else { 1.0 };
-        Some((next, inverse_depth, landmark.sigma * ratio * ratio))
+        let LandmarkView { inverse_depth, sigma, .. } = in_camera(landmark, &next_from_host)?;
+        Some((next, inverse_depth, sigma))
     }
 }
 
-fn in_camera(landmark: &Landmark, camera_from_host: &Rigid) -> Option<(Vector2<f64>, f64)> {
+/// A landmark in another camera than its host.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LandmarkView {
+    /// Where it is seen, on the plane z = 1.
+    pub z1: Vector2<f64>,
+    /// Its inverse depth there, 1/m.
+    pub inverse_depth: f64,
+    /// Standard deviation of that inverse depth, 1/m.
+    pub sigma: f64,
+}
+
+fn in_camera(landmark: &Landmark, camera_from_host: &Rigid) -> Option<LandmarkView> {
     let ray: Vector3<f64> = landmark.host_ray();
     let q =
         camera_from_host.rotation * Point3::from(ray) + camera_from_host.translation.vector * landmark.inverse_depth;
-    (landmark.has_depth() && q.z > 0.0).then(|| (q.coords.xy() / q.z, landmark.inverse_depth / q.z))
+    // q.z = z'/z, and d(1/z')/d(1/z) = (z/z')^2 for motion along the axis, the usual case.
+    (landmark.has_depth() && q.z > 0.0).then(|| LandmarkView {
+        z1: q.coords.xy() / q.z,
+        inverse_depth: landmark.inverse_depth / q.z,
+        sigma: landmark.sigma / (q.z * q.z),
+    })
 }
 
 #[cfg(test)]
@@ -192,8 +206,28 @@ mod tests {
         let before = window.landmark_in(&landmarks[0], &newest).expect("in front");
         window.rescale(2.0, 1, &mut landmarks);
         let after = window.landmark_in(&landmarks[0], &newest).expect("in front");
-        assert!((before.0 - after.0).norm() < 1e-12);
-        assert!((before.1 - 2.0 * after.1).abs() < 1e-12);
+        assert!((before.z1 - after.z1).norm() < 1e-12);
+        assert!((before.inverse_depth - 2.0 * after.inverse_depth).abs() < 1e-12);
+        assert!((before.sigma - 2.0 * after.sigma).abs() < 1e-12);
         assert_eq!(window.newest().expect("two").camera_from_world, newest);
+    }
+
+    #[test]
+    fn the_sigma_is_that_of_the_inverse_depth_in_the_other_camera() {
+        const TINY: f64 = 1e-7;
+        let mut window = KeyframeWindow::new();
+        let mut landmarks = [Landmark::default()];
+        window.push(0, 0, at_z(0.0), &mut landmarks);
+        landmarks[0].record(0, &Vector2::new(0.1, 0.2));
+        for (inverse_depth, moved_m) in [(0.05, 0.0), (0.05, 10.0), (0.05, -20.0), (-0.001, 10.0)] {
+            let view = |inverse_depth: f64| {
+                let mut landmark = landmarks[0];
+                (landmark.inverse_depth, landmark.sigma) = (inverse_depth, 0.002);
+                window.landmark_in(&landmark, &at_z(moved_m)).expect("in front")
+            };
+            let slope = (view(inverse_depth + TINY).inverse_depth - view(inverse_depth).inverse_depth) / TINY;
+            let sigma = view(inverse_depth).sigma;
+            assert!((sigma / (0.002 * slope) - 1.0).abs() < 1e-4, "{inverse_depth} after {moved_m} m: {sigma}");
+        }
     }
 }

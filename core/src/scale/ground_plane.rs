@@ -151,7 +151,13 @@ pub fn align_road(
     let mut measured = None;
     for level in (finest..(finest + 2).min(pair.later.n_levels())).rev() {
         let Some(strip) = Strip::new(pair, level) else { continue };
-        measured = Some(state.iterate(&strip, pair, mounting, settings)?);
+        let before = state;
+        match state.iterate(&strip, pair, mounting, settings) {
+            Ok(found) => measured = Some(found),
+            // A coarse level only brings the start nearer: one that is too small for that is left out.
+            Err(RoadProblem::TooFewPixels { .. }) if level > finest => state = before,
+            Err(problem) => return Err(problem),
+        }
     }
     let (normal_equations, fit) =
         measured.ok_or(RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels })?;

@@ -61,6 +61,8 @@ pub struct ScaleFilter {
     covariance: f64,
     rate_variance: f64,
     n_measurements: u32,
+    /// Driven since the last accepted measurement, m.
+    unmeasured_m: f64,
 }
 
 impl ScaleFilter {
@@ -72,6 +74,7 @@ impl ScaleFilter {
             covariance: 0.0,
             rate_variance: settings.drift_rate_sigma_per_m * settings.drift_rate_sigma_per_m,
             n_measurements: 0,
+            unmeasured_m: 0.0,
         }
     }
 
@@ -107,6 +110,7 @@ impl ScaleFilter {
         self.variance = self.variance.clamp(f64::MIN_POSITIVE, ceiling);
         self.covariance += distance_m * self.rate_variance;
         self.rate_variance += change;
+        self.unmeasured_m += distance_m;
         libm::exp(self.drift_rate_per_m * distance_m)
     }
 
@@ -115,18 +119,11 @@ impl ScaleFilter {
     /// # Inputs
     /// * `measured_ratio`: above 0; anything else is rejected.
     /// * `own_sigma`: relative standard deviation that the measurement claims for itself.
-    /// * `distance_m`: driven since the measurement before.
-    pub fn update(
-        &mut self,
-        measured_ratio: f64,
-        own_sigma: f64,
-        distance_m: f64,
-        settings: &ScaleFilterSettings,
-    ) -> ScaleUpdate {
+    pub fn update(&mut self, measured_ratio: f64, own_sigma: f64, settings: &ScaleFilterSettings) -> ScaleUpdate {
         let log_ratio = libm::log(measured_ratio);
         let limit = libm::log(settings.max_jump);
         let early = settings.early_sigma / f64::from(self.n_measurements + 1);
-        let shared = (settings.correlation_m / distance_m).max(1.0);
+        let shared = (settings.correlation_m / self.unmeasured_m).max(1.0);
         let stretch = settings.measurement_sigma * settings.measurement_sigma * shared;
         let noise = stretch + own_sigma * own_sigma + early * early;
         let is_jump = self.n_measurements > 0 && log_ratio.abs() > limit;
@@ -134,6 +131,7 @@ impl ScaleFilter {
             return ScaleUpdate::Reject { log_ratio, limit };
         }
         self.n_measurements = self.n_measurements.saturating_add(1);
+        self.unmeasured_m = 0.0;
         let sigmas2 = log_ratio * log_ratio / (self.variance + noise);
         let weight = 1.0 / (1.0 + sigmas2 / (settings.kernel_sigmas * settings.kernel_sigmas));
         let total = self.variance + noise / weight;
@@ -170,8 +168,7 @@ mod tests {
         for i in 0..n {
             scale *= libm::exp(drift * 2.0);
             scale *= filter.drive(2.0, &SETTINGS);
-            if let ScaleUpdate::Accept { correction, .. } = filter.update(measure(i, 1.0 / scale), 0.0, 2.0, &SETTINGS)
-            {
+            if let ScaleUpdate::Accept { correction, .. } = filter.update(measure(i, 1.0 / scale), 0.0, &SETTINGS) {
                 scale *= correction;
             }
             if 2 * i > n {
@@ -205,10 +202,36 @@ mod tests {
     }
 
     #[test]
+    fn a_measurement_counts_by_the_way_since_the_one_before() {
+        let gain = |steps_m: &[f64], ratio_between: Option<f64>| {
+            let mut filter = ScaleFilter::new(&SETTINGS);
+            filter.drive(2.0, &SETTINGS);
+            filter.update(1.0, 0.0, &SETTINGS);
+            for &step_m in steps_m {
+                filter.drive(step_m, &SETTINGS);
+                if let Some(ratio) = ratio_between {
+                    filter.update(ratio, 0.0, &SETTINGS);
+                }
+            }
+            match filter.update(1.0, 0.0, &SETTINGS) {
+                ScaleUpdate::Accept { gains, .. } => gains[0],
+                ScaleUpdate::Reject { .. } => f64::NAN,
+            }
+        };
+        let (whole, halves) = (gain(&[4.0], None), gain(&[2.0, 2.0], None));
+        assert!((whole / halves - 1.0).abs() < 1e-2, "{whole} {halves}");
+        // A measurement that is rejected measures nothing.
+        let rejected = gain(&[2.0, 2.0], Some(9.0));
+        assert!((rejected / halves - 1.0).abs() < 1e-9, "{rejected} {halves}");
+        assert!(gain(&[2.0], None) < halves);
+    }
+
+    #[test]
     fn nonsense_is_rejected() {
         let mut filter = ScaleFilter::new(&SETTINGS);
         let rejects = |filter: &mut ScaleFilter, ratio: f64, sigma: f64| {
-            matches!(filter.update(ratio, sigma, 1.0, &SETTINGS), ScaleUpdate::Reject { .. })
+            filter.drive(1.0, &SETTINGS);
+            matches!(filter.update(ratio, sigma, &SETTINGS), ScaleUpdate::Reject { .. })
         };
         for ratio in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
             assert!(rejects(&mut filter, ratio, 0.0), "{ratio}");

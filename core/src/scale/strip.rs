@@ -66,6 +66,7 @@ fn sample(image: &ImageView<'_>, x_px: f64, y_px: f64) -> Option<(f64, f64, f64)
     Some((value, gradient_x, gradient_y))
 }
 
+#[derive(Clone, Copy)]
 pub(super) struct Alignment {
     /// Normal over height, 1/m.
     pub(super) plane: Vector3<f64>,

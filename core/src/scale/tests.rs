@@ -66,6 +66,14 @@ struct Case {
 }
 
 fn measure(case: &Case, spoil: impl Fn(&mut [u8], &mut [u8])) -> Result<RoadAlignment, RoadProblem> {
+    measure_with(&SETTINGS, case, spoil)
+}
+
+fn measure_with(
+    settings: &RoadSettings,
+    case: &Case,
+    spoil: impl Fn(&mut [u8], &mut [u8]),
+) -> Result<RoadAlignment, RoadProblem> {
     let normal = Vector3::new(0.0, libm::cos(case.pitch_rad), libm::sin(case.pitch_rad));
     let mut earlier_px = picture(&Rigid::identity(), &normal, MOUNTING.height_m);
     let mut later_px = picture(&case.step, &normal, MOUNTING.height_m);
@@ -86,7 +94,7 @@ fn measure(case: &Case, spoil: impl Fn(&mut [u8], &mut [u8])) -> Result<RoadAlig
         expected_normal: MOUNTING.road_normal_in_camera(),
         expected_height_m: MOUNTING.height_m,
     };
-    align_road(&pair, &MOUNTING, &SETTINGS)
+    align_road(&pair, &MOUNTING, settings)
 }
 
 fn forward(metres: f64, yaw_rad: f64) -> Rigid {
@@ -139,6 +147,17 @@ fn what_is_no_road_is_refused_with_its_number() {
         later.fill(0);
     });
     assert!(black.is_err(), "{black:?}");
+}
+
+#[test]
+fn a_coarse_level_that_is_too_small_is_left_out() {
+    let case = Case { step: forward(1.0, 0.0), too_long: 1.02, pitch_rad: 0.0 };
+    let n_pixels = measure(&case, |_, _| ()).expect("a textured road").n_pixels;
+    let of_pixels = |min_pixels| measure_with(&RoadSettings { min_pixels, ..SETTINGS }, &case, |_, _| ());
+    // The coarse level has a quarter of the pixels.
+    let found = of_pixels(n_pixels / 2).expect("the working level has enough");
+    assert!((found.height_m / (MOUNTING.height_m * 1.02) - 1.0).abs() < 0.015, "{found:?}");
+    assert!(matches!(of_pixels(2 * n_pixels), Err(RoadProblem::TooFewPixels { .. })));
 }
 
 #[test]

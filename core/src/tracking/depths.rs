@@ -2,7 +2,7 @@
 
 use super::TrackingSettings;
 use crate::camera::Pinhole;
-use crate::keyframe::{KeyframeWindow, Landmark, WINDOW};
+use crate::keyframe::{KeyframeWindow, Landmark, LandmarkView, WINDOW};
 use crate::pose::{Sighting, triangulate_inverse_depth};
 use nalgebra::Vector3;
 
@@ -52,13 +52,13 @@ pub(super) fn mark_impossible(
     let Some(newest) = window.newest().map(|k| k.camera_from_world) else { return 0 };
     let mut n = 0;
     for landmark in landmarks.iter_mut().filter(|l| l.is_tracked && l.has_depth() && !l.is_outlier) {
-        let Some((z1, inverse_depth)) = window.landmark_in(landmark, &newest) else {
+        let Some(LandmarkView { z1, inverse_depth, sigma }) = window.landmark_in(landmark, &newest) else {
             landmark.is_outlier = true;
             n += 1;
             continue;
         };
         let road_inverse_depth = road_normal.dot(&Vector3::new(z1.x, z1.y, 1.0)) / height_m;
-        let most = inverse_depth + SIGMAS * landmark.sigma;
+        let most = inverse_depth + SIGMAS * sigma;
         if most < 0.0 || most < below_road_ratio * road_inverse_depth {
             landmark.is_outlier = true;
             n += 1;

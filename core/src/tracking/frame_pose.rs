@@ -201,19 +201,18 @@ impl Tracker<'_> {
 
     /// Fills the landmark matches of the current frame and returns their number.
     pub(super) fn collect_landmark_matches(&mut self) -> usize {
-        let camera_from_world = self.newest.camera_from_world;
+        let (camera_from_world, flow_limit_px) = (self.newest.camera_from_world, self.flow_limit_px());
         let mut n = 0;
         for (track, &landmark_idx) in self.tracks.tracks().iter().zip(self.scratch.landmark_of_track.iter()) {
             let Some(landmark) = self.landmarks.get(landmark_idx as usize) else { continue };
-            if landmark.is_outlier || !landmark.has_depth() {
+            if landmark.is_outlier || !landmark.has_depth() || track.flow_px() > flow_limit_px {
                 continue;
             }
-            let Some((_, inverse_depth)) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
-            let ratio = if landmark.inverse_depth > 0.0 { inverse_depth / landmark.inverse_depth } else { 1.0 };
+            let Some(view) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
             let found = LandmarkMatch {
                 reference_z1: z1_of(&self.camera, track.keyframe_px),
-                inverse_depth,
-                inverse_depth_sigma: landmark.sigma * ratio * ratio,
+                inverse_depth: view.inverse_depth,
+                inverse_depth_sigma: view.sigma,
                 seen_z1: z1_of(&self.camera, track.current_px),
             };
             let (Some(slot), Some(idx)) =

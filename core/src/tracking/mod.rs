@@ -101,7 +101,7 @@ pub struct FrameReport {
     pub reason: StatusReason,
     /// What the pose came from.
     pub model: PoseModel,
-    /// Whether this frame became a keyframe.
+    /// Whether poses are relative to this frame from here on; where tracking begins anew, a doubtful one.
     pub is_keyframe: bool,
     /// Ordinal of the keyframe that the pose is relative to (itself, when it is one).
     pub keyframe_ordinal: u32,
@@ -133,4 +133,11 @@ pub struct FrameReport {
     pub scale_ratio: f32,
     /// Road points (or pixels) behind the scale.
     pub n_road: u32,
+}
+
+impl FrameReport {
+    /// Whether it is a keyframe for people and for the map: one whose own pose was tracked.
+    pub fn is_tracked_keyframe(&self) -> bool {
+        self.is_keyframe && self.status == FrameStatus::Tracked
+    }
 }

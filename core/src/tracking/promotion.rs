@@ -104,15 +104,15 @@ impl Tracker<'_> {
         let mut n = 0;
         for (track, &idx) in self.tracks.tracks().iter().zip(self.scratch.landmark_of_track.iter()) {
             let Some(landmark) = self.landmarks.get(idx as usize).filter(|l| l.has_depth()) else { continue };
-            let Some((_, inverse_depth)) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
-            if inverse_depth <= 0.0 {
+            let Some(view) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
+            if view.inverse_depth <= 0.0 {
                 continue;
             }
             let Some(slot) = self.keyframe_points.get_mut(n) else { break };
             *slot = KeyframePoint {
                 pixel: track.keyframe_px,
-                depth_m: (1.0 / inverse_depth) as f32,
-                relative_sigma: (landmark.sigma / landmark.inverse_depth) as f32,
+                depth_m: (1.0 / view.inverse_depth) as f32,
+                relative_sigma: (view.sigma / view.inverse_depth) as f32,
             };
             n += 1;
         }

@@ -77,7 +77,7 @@ impl Tracker<'_> {
         self.window.rescale(drift, earlier, self.landmarks);
         let Ok(found) = measured else { return nothing };
         let ratio = self.mounting.height_m / found.height_m / drift;
-        let update = self.scale.update(ratio, found.relative_sigma, step_m, &self.settings.scale);
+        let update = self.scale.update(ratio, found.relative_sigma, &self.settings.scale);
         if let ScaleUpdate::Accept { correction, weight, gains } = update {
             self.drift_at_keyframe.correct_scale(gains);
             self.window.rescale(correction, earlier, self.landmarks);

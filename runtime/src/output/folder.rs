@@ -87,9 +87,11 @@ impl OutputFolder {
             return self.frame_log.push(None);
         }
         if frame.is_keyframe {
-            self.counts.keyframes += 1;
+            let is_tracked = frame.is_tracked_keyframe();
+            self.counts.keyframes += u64::from(is_tracked);
             let world_from_keyframe = frame.world_from_camera * frame.keyframe_from_camera.inverse();
-            let placed = PlacedKeyframe { timestamp_ns: frame.timestamp_ns, world_from_keyframe, scale: 1.0 };
+            let timestamp_ns = frame.timestamp_ns;
+            let placed = PlacedKeyframe { timestamp_ns, is_tracked, world_from_keyframe, scale: 1.0 };
             self.keyframes.place(frame.keyframe_ordinal, &placed)?;
         }
         trajectory::write_tum(&mut self.odometry, frame.timestamp_ns, &frame.world_from_camera)?;

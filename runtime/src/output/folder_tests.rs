@@ -66,6 +66,23 @@ fn tum_t_z(dir: &Path, name: &str) -> Vec<(f64, f64)> {
 }
 
 #[test]
+fn a_doubtful_frame_that_carries_others_is_no_keyframe() {
+    let dir = folder();
+    let mut folder = drive(dir.path());
+    let before = folder.counts();
+    let restarted = FrameReport { is_keyframe: true, ..frame(6, FrameStatus::Doubtful, 2, 0.0) };
+    for report in [restarted, frame(7, FrameStatus::Tracked, 2, 5.0)] {
+        folder.frame(&report, &StageTimes::default()).expect("written");
+    }
+    assert_eq!(folder.counts().keyframes, before.keyframes);
+    let summary = folder.finish().expect("written");
+    assert_eq!(summary.n_keyframes, before.keyframes);
+    assert_eq!(tum_t_z(dir.path(), "keyframes_tum.txt").len() as u64, before.keyframes);
+    let last = tum_t_z(dir.path(), "trajectory_tum.txt").pop();
+    assert_eq!(last, Some((0.7, 25.0)), "what it carries has its place");
+}
+
+#[test]
 fn every_frame_with_a_pose_is_in_the_trajectory_and_every_frame_in_the_others() {
     let dir = folder();
     let folder = drive(dir.path());

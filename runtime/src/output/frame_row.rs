@@ -26,7 +26,7 @@ pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &Stage
         Seconds(frame.timestamp_ns),
         status_name(frame.status),
         reason_name(frame.reason),
-        u8::from(frame.is_keyframe),
+        u8::from(frame.is_tracked_keyframe()),
         model_name(frame.model),
         frame.n_tracks,
         frame.n_matches,

@@ -12,6 +12,8 @@ use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlacedKeyframe {
     pub(super) timestamp_ns: TimestampNs,
+    /// Whether it is a keyframe for people. Where tracking began anew, a doubtful frame carries those behind it.
+    pub(super) is_tracked: bool,
     /// Rotation and position of the keyframe's camera.
     pub(super) world_from_keyframe: Rigid,
     /// Metres of the world per metre of what was measured relative to the keyframe.
@@ -23,6 +25,7 @@ pub(super) struct PlacedKeyframe {
 #[repr(C)]
 struct Row {
     timestamp_ns: u64,
+    is_tracked: u64,
     scale: f64,
     quaternion_xyzw: [f64; 4],
     position_m: [f64; 3],
@@ -64,6 +67,7 @@ impl KeyframeTable {
     pub(super) fn place(&mut self, ordinal: u32, keyframe: &PlacedKeyframe) -> Result<(), OutputError> {
         let row = Row {
             timestamp_ns: keyframe.timestamp_ns,
+            is_tracked: u64::from(keyframe.is_tracked),
             scale: keyframe.scale,
             quaternion_xyzw: quaternion_xyzw(&keyframe.world_from_keyframe.rotation),
             position_m: keyframe.world_from_keyframe.translation.vector.into(),
@@ -92,6 +96,7 @@ impl KeyframeTable {
         let row = &self.block[(ordinal - block_start) as usize];
         let placed = PlacedKeyframe {
             timestamp_ns: row.timestamp_ns,
+            is_tracked: row.is_tracked != 0,
             world_from_keyframe: Rigid::from_parts(
                 Translation3::from(row.position_m),
                 rotation_from_xyzw(row.quaternion_xyzw),
@@ -117,7 +122,12 @@ mod tests {
 
     fn keyframe(k: u32) -> PlacedKeyframe {
         let world_from_keyframe = Rigid::translation(f64::from(k), 0.0, 1.0);
-        PlacedKeyframe { timestamp_ns: u64::from(k) * 7, world_from_keyframe, scale: 1.0 }
+        PlacedKeyframe {
+            timestamp_ns: u64::from(k) * 7,
+            is_tracked: !k.is_multiple_of(3),
+            world_from_keyframe,
+            scale: 1.0,
+        }
     }
 
     #[test]

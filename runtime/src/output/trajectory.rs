@@ -51,7 +51,7 @@ pub(super) fn expand(
 
     let mut tum = TextSink::create(dir.join("keyframes_tum.txt"))?;
     for ordinal in 0..keyframes.len() {
-        if let Some(keyframe) = keyframes.get(ordinal)? {
+        if let Some(keyframe) = keyframes.get(ordinal)?.filter(|keyframe| keyframe.is_tracked) {
             write_tum(&mut tum, keyframe.timestamp_ns, &keyframe.world_from_keyframe)?;
             summary.n_keyframes += 1;
         }

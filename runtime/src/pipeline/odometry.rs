@@ -65,7 +65,7 @@ impl OdometryStream {
                 FrameStatus::Doubtful => 1,
                 FrameStatus::Lost => 2,
             },
-            is_keyframe: u32::from(report.is_keyframe),
+            is_keyframe: u32::from(report.is_tracked_keyframe()),
             odometry_from_camera_m: odometry_from_camera.translation.vector.into(),
             odometry_from_camera_xyzw: quaternion_xyzw(&odometry_from_camera.rotation),
             map_from_odometry_m: [0.0; 3],

@@ -121,7 +121,7 @@ impl TrackingThread<'_> {
         }
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
         self.observe(&image, &mut state.slots);
-        state.n_keyframes += u32::from(report.is_keyframe);
+        state.n_keyframes += u32::from(report.is_tracked_keyframe());
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);
         self.hand_to_mapper(&image, &gray, &report, state, &mut times);
