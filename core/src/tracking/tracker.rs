@@ -10,6 +10,7 @@ use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::SimdLevel;
 use crate::features::tracks::{TrackImages, TrackReport, TrackTable};
+use crate::frame::pyramid::PyramidStorageTooSmall;
 use crate::frame::{ImageView, Pyramid};
 use crate::gate;
 use crate::keyframe::{Keyframe, KeyframeWindow, Landmark};
@@ -124,14 +125,6 @@ impl<'m> Tracker<'m> {
         if shortest < needed {
             return Err(TrackerStorageProblem { what: "a scratch slice", found: shortest, needed });
         }
-        let (width, height) = (camera.width as usize, camera.height as usize);
-        let pyramid = |bytes: &'m mut [u8]| {
-            Pyramid::new(bytes, width, height, PYRAMID_LEVELS).map_err(|e| TrackerStorageProblem {
-                what: "a pyramid",
-                found: e.bytes,
-                needed: e.needed,
-            })
-        };
         let [first, second, third] = storage.pyramids;
         let tracks = TrackTable::new(storage.tracks).map_err(|e| TrackerStorageProblem {
             what: "a slice of the track table",
@@ -145,7 +138,7 @@ impl<'m> Tracker<'m> {
             settings,
             simd,
             seed,
-            pyramids: [pyramid(first)?, pyramid(second)?, pyramid(third)?],
+            pyramids: [pyramid(first, &camera)?, pyramid(second, &camera)?, pyramid(third, &camera)?],
             keyframe_slot: 0,
             previous_slot: 0,
             current_slot: 0,
@@ -375,4 +368,11 @@ impl<'m> Tracker<'m> {
             n_road: pose.n_road as u32,
         }
     }
+}
+
+/// An empty pyramid of the camera's size.
+fn pyramid<'m>(bytes: &'m mut [u8], camera: &Pinhole) -> Result<Pyramid<'m>, TrackerStorageProblem> {
+    let problem =
+        |e: PyramidStorageTooSmall| TrackerStorageProblem { what: "a pyramid", found: e.bytes, needed: e.needed };
+    Pyramid::new(bytes, camera.width as usize, camera.height as usize, PYRAMID_LEVELS).map_err(problem)
 }

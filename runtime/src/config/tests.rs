@@ -61,6 +61,7 @@ fn a_bad_setting_names_key_value_range_and_origin() {
     );
     check(None, &["tracking.min_inliers=15.5"], &["tracking.min_inliers", "not a whole number", "[6, 200]"]);
     check(None, &["tracking.min_inliers=5"], &["tracking.min_inliers = 5", "[6, 200]"]);
+    check(None, &["tracking.lk_levels=5"], &["tracking.lk_levels = 5", "[1, 4]"]);
     check(None, &["tracking.lk_max_backward_px=0"], &["tracking.lk_max_backward_px", "(0, 10]"]);
     check(None, &["tracking.confidence=1"], &["tracking.confidence", "[0.9, 1)"]);
     check(

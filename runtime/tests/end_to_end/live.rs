@@ -1,9 +1,9 @@
 //! `kilogs run` beside a camera that comes, dies and comes back.
 
-use crate::drive::Drive;
+use crate::drive::{Drive, write};
 use crate::program::{Program, word};
 use crate::replay::{check_counts, count, json, number};
-use kilogs_camera::ipc::FrameSlots;
+use kilogs_camera::ipc::{FrameSlots, create_node, open_frames};
 use kilogs_camera::publish::{Pace, PublishSettings, publish};
 use kilogs_camera::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use std::path::Path;
@@ -70,6 +70,39 @@ fn a_camera_may_die_and_come_back() {
     for name in ["trajectory_tum.txt", "odometry_tum.txt", "frames.csv", "report.html", "map/manifest.kgs"] {
         assert!(out.path().join(name).exists(), "{name} is missing: {}", ended.stderr);
     }
+}
+
+#[test]
+fn a_silent_camera_is_told_and_more_slots_than_planned_are_refused() {
+    let (drive, out, service) = (Drive::new(8.0), tempfile::tempdir().expect("a folder"), service_name("silent"));
+    let mut run = start_run(&drive, &service, out.path());
+    let camera = start_camera(&drive, &service);
+    run.wait_for("the camera is there", 1);
+    camera.stop();
+    run.wait_for("lives but has sent nothing for", 1);
+    std::thread::sleep(SOME_FRAMES);
+    assert_eq!(run.said().matches("has sent nothing").count(), 1, "told once: {}", run.said());
+    run.interrupt();
+    let ended = run.wait();
+    camera.kill();
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+
+    let service = service_name("slots");
+    let node = create_node(&service).expect("a node");
+    let _made_by_others = open_frames(&node, &service, &FrameSlots::DEFAULT).expect("a service");
+    let budget = out.path().join("budget.toml");
+    let planned = include_str!("../../../memory_budget.toml").replacen(
+        "[ipc.frame_slots]\ncapacity = 9",
+        "[ipc.frame_slots]\ncapacity = 7",
+        1,
+    );
+    write(&budget, planned);
+    let camera_file = word(&drive.complete_camera_file());
+    let out = word(&out.path().join("slots"));
+    let words = ["run", "--service", &service, "--camera", &camera_file, "--out", &out, "--budget", &word(&budget)];
+    let ended = Program::start(words).wait();
+    let is_told = ended.stderr.contains("made with 9 frame slots") && ended.stderr.contains("plans for 7");
+    assert!(ended.code == Some(2) && is_told, "{ended:?}");
 }
 
 #[test]

@@ -109,6 +109,11 @@ impl Program {
         signal("INT", self.child.id());
     }
 
+    /// Lets it stand still as it is.
+    pub fn stop(&self) {
+        signal("STOP", self.child.id());
+    }
+
     /// Ends it without a word.
     pub fn kill(mut self) {
         self.child.kill().expect("SIGKILL");

@@ -115,6 +115,9 @@ fn check_map_commands(run: &Path) {
     check(&["render", &map, "--trajectory", &csv, "--out", &views], 3, "frames.csv: line 1");
     check(&["render", &map, "--trajectory", &path("nowhere"), "--out", &views], 3, "reading");
     check(&["eval", &path("nowhere"), "--gt", &tum], 3, "did the run finish?");
+    std::fs::create_dir(run.join("eval.json")).expect("a folder");
+    let kitti = word(&run.join("trajectory_kitti.txt"));
+    check(&["eval", &word(run), "--gt", &kitti], 1, "check free space and permissions");
     let manifest = run.join("map/manifest.kgs");
     let mut bytes = std::fs::read(&manifest).expect("a manifest");
     let middle = bytes.len() / 2;
@@ -137,6 +140,8 @@ fn settings_and_options_that_cannot_be_used_are_refused() {
     refused(&["--backend", "cpu", "--device", "0"], 2, "--device chooses among Vulkan devices");
     refused(&["--threads", "0"], 2, "--threads");
     refused(&["--no-such-option"], 2, "--no-such-option");
+    check(&["demo", "--length", "inf"], 2, "not a number above 0");
+    check(&["demo", "--length", "1e9"], 2, "the longest drive");
 
     let file = tempfile::NamedTempFile::new().expect("a file");
     let out = word(&file.path().join("run"));
