@@ -21,6 +21,9 @@ const STEP: StepSettings = StepSettings {
         decoder: DECODER,
         ..LearningRates::DIRECT
     },
+    // A drive stays at the first rates, only a fit comes to the last: a vehicle meets new surfaces until the chunk closes.
+    // With the method's decay over the chunk's 100 keyframes, the first 120 frames (64 keyframes, ten steps each) of the
+    // small color set of KITTI 00 score 18.76 dB held out instead of 18.87 dB, and 20.34 dB instead of 20.36 dB trained.
     progress: 0.0,
     weights: LossWeights { depth: 0.0, isotropy: 0.0, ..LossWeights::METHOD },
     decoder_row: None,
