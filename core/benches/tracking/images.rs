@@ -62,7 +62,9 @@ pub fn print_table(recorded: &Pair, rounds: usize) {
     let points = points(recorded);
     println!("| 1241x376, {} points | SIMD | ms | accuracy |\n|---|---|---:|---|", points.len());
     let mut storage = pyramid_storage();
-    let pyramids = Times::of(0..rounds, |_| drop(black_box(pyramid(&recorded.first, &mut storage))));
+    let pyramids = Times::of(0..rounds, |_| {
+        black_box(pyramid(&recorded.first, &mut storage));
+    });
     println!("| pyramid, 4 levels | - | {} | - |", pyramids.text());
     for (level, simd) in simd_levels() {
         let mut corners = vec![Corner::NONE; 4 * POINTS];
