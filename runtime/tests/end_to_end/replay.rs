@@ -11,8 +11,14 @@ use std::path::Path;
 const SCALE_TOLERANCE: f64 = 0.10;
 
 /// Rows whose bytes stand in another row, or cannot be told from the rest of the process.
-const NOT_OBSERVED: [&str; 4] =
-    ["map.gaussians_per_anchor", "store.page_anchors", "process.code_and_stacks", "process.compute_driver"];
+const NOT_OBSERVED: [&str; 5] = [
+    "map.gaussians_per_anchor",
+    // No memory while no step looks at depth.
+    "map.keyframe_depths",
+    "store.page_anchors",
+    "process.code_and_stacks",
+    "process.compute_driver",
+];
 
 /// Runs `kilogs replay`.
 fn replay(drive: &Drive, out: &Path, n_threads: usize) {
