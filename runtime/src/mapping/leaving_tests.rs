@@ -1,0 +1,95 @@
+//! How anchors and chunks leave for the store: in time, whole, and once.
+
+use super::*;
+
+#[test]
+fn a_busy_sink_gets_the_same_pages_later() {
+    let pages = |busy_calls: [usize; 2]| {
+        let mut sink = MemorySink { busy_calls: busy_calls[0], ..MemorySink::default() };
+        let mut mapper = mapper(1, 16_384);
+        for ordinal in 0..20 {
+            let pixels = picture(STEP_M * f64::from(ordinal));
+            mapper.insert_keyframe(&packet(ordinal, &pixels), &mut sink).expect("a usable keyframe");
+        }
+        sink.busy_calls += busy_calls[1];
+        while mapper.finish(&mut sink) == Err(WriteRefusal::Busy) {}
+        let counters = mapper.counters();
+        assert!(sink.pages.len() > 2 && sink.busy_calls == 0);
+        assert_eq!(counters.anchors_stored, counters.anchors_total - counters.anchors_pruned, "nothing is lost");
+        sink.pages
+    };
+    assert!(pages([0, 0]) == pages([0, 3]), "the same pages, later");
+    // What stays longer while driving takes the place of what would be inserted: other pages, but all of them.
+    pages([3, 0]);
+    let mut sink = MemorySink { busy_calls: usize::MAX, ..MemorySink::default() };
+    let mut stuck = mapper(1, 16_384);
+    let pixels = picture(0.0);
+    stuck.insert_keyframe(&packet(0, &pixels), &mut sink).expect("a usable keyframe");
+    assert_eq!(stuck.finish(&mut sink), Err(WriteRefusal::Busy));
+    assert!(stuck.n_resident_anchors() > 0);
+}
+
+#[test]
+fn anchors_leave_before_the_row_of_their_keyframe_is_taken() {
+    let settings = MapperSettings { page_distance_m: f64::INFINITY, ..MapperSettings::measured(7, 1.0) };
+    let capacity = MapperCapacity { keyframe_rows: 16, ..CAPACITY };
+    let (mut mapper, mut sink) = (mapper_of(1, capacity, settings), MemorySink::default());
+    let insert = |mapper: &mut Mapper, sink: &mut MemorySink, ordinal: u32| {
+        let pixels = picture(STEP_M * f64::from(ordinal));
+        let inserted = mapper.insert_keyframe(&packet(ordinal, &pixels), sink).map(|report| report.n_anchors > 0);
+        let oldest = mapper.pool.iter().map(|(_, record)| record.keyframe_ordinal).min();
+        assert!(oldest.is_some_and(|oldest| oldest + 16 > ordinal), "{oldest:?} lost its row to {ordinal}");
+        inserted
+    };
+    for ordinal in 0..16 {
+        assert!(insert(&mut mapper, &mut sink, ordinal).is_ok() && sink.pages.is_empty());
+    }
+    sink.busy_calls = 1;
+    let refused = Err(PacketRefused::RowInUse { frame_index: 16 * 16 });
+    let pixels = picture(STEP_M * 16.0);
+    assert_eq!(mapper.insert_keyframe(&packet(16, &pixels), &mut sink).map(|_| ()), refused);
+    assert_eq!(mapper.counters().keyframes, 16, "nothing was added");
+    for ordinal in [16, 17, 40] {
+        assert_eq!(insert(&mut mapper, &mut sink, ordinal), Ok(true));
+    }
+    assert_eq!(mapper.finish(&mut sink), Ok(()));
+    assert_eq!(mapper.n_resident_anchors(), 0);
+}
+
+#[test]
+fn a_chunk_that_nobody_took_is_never_overwritten() {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    let pixels = picture(0.0);
+    let mut inserted = |sink: &mut MemorySink, chunk: u32| {
+        sink.busy_chunks = chunk == 2;
+        mapper.insert_keyframe(&packet(chunk * CHUNK_KEYFRAMES, &pixels), sink).is_ok()
+    };
+    assert_eq!([0, 1, 2, 3, 4].map(|chunk| inserted(&mut sink, chunk)), [true, true, true, true, true]);
+    assert_eq!(mapper.finish(&mut sink), Ok(()));
+    let ids: Vec<u32> = sink.chunks.iter().map(|chunk| chunk.0.chunk_id).collect();
+    assert_eq!(ids, [0, 1, 2, 3, 4]);
+}
+
+#[test]
+fn a_page_buffer_that_holds_no_chunk_ends_the_run_and_the_smallest_of_a_budget_holds_one() {
+    let smallest = Budget::parse(
+        &PROFILES[0].1.replace("[store.page_anchors]\ncapacity = 8192", "[store.page_anchors]\ncapacity = 16"),
+        "smallest.toml",
+    );
+    let smallest = smallest.expect("a possible budget").store_capacity();
+    for (page_bytes, fits) in [(40_000, false), (smallest.page_bytes, true)] {
+        let scratch = tempfile::tempdir().expect("a scratch folder");
+        let capacity = StoreCapacity { page_bytes, ..smallest };
+        let store = MapStoreWriter::create(
+            &scratch.path().join("map"),
+            &MANIFEST,
+            &StoreSettings { capacity, jpeg_quality: 90, when_busy: WhenBusy::Wait },
+        );
+        let store = store.expect("a new store");
+        let (mut mapper, pixels) = (mapper_with(1, 16_384, true), picture(0.0));
+        mapper.insert_keyframe(&packet(0, &pixels), &mut &store).expect("a usable keyframe");
+        let finished = mapper.finish_into(&store);
+        assert_eq!(finished.is_ok(), fits, "{page_bytes} bytes: {finished:?}");
+        assert!(fits || finished.unwrap_err().to_string().contains("store.page_anchors"));
+    }
+}
