@@ -11,8 +11,8 @@ use kilogs::splat::device::{DeviceBackend, Executor};
 use kilogs::splat::vulkan::{DeviceRequest, VulkanDevice, VulkanExecutor};
 use kilogs::splat::wgpu::WgpuExecutor;
 use kilogs::splat::{
-    AnchorScore, Capacities, DecoderRates, RenderStats, RenderTarget, SplatBackend, StageTimes, StepSettings,
-    TargetImage, TrainingView,
+    AnchorScore, Capacities, DecoderRates, DepthTarget, RenderStats, RenderTarget, SplatBackend, StageTimes,
+    StepSettings, TargetImage, TrainingView,
 };
 use machine::Machine;
 use scene::{GAUSSIANS_PER_ANCHOR, SIZES, Scene, Size};
@@ -192,7 +192,9 @@ fn print_tables(
     let view = size.view();
     let transmittance = mean_transmittance(backend, size);
     let target = target(size);
-    let training = TrainingView { view, target: TargetImage::Rgb8(&target), depth: None, exposure_slot: Some(0) };
+    let (depth_m, confidence) = (vec![DEPTH_M; size.n_pixels()], vec![1.0; size.n_pixels()]);
+    let depth = Some(DepthTarget { depth_m: &depth_m, confidence: &confidence });
+    let training = TrainingView { view, target: TargetImage::Rgb8(&target), depth, exposure_slot: Some(0) };
     let steps = measure_steps(backend, &training, options);
     let stats = steps.stats;
     let counts = Counts::new(size, &stats, scene.n_contributions(&view));
@@ -238,6 +240,9 @@ fn mean_transmittance(backend: &mut dyn SplatBackend, size: &Size) -> f64 {
     backend.render(&size.view(), target);
     transmittance.iter().map(|&t| f64::from(t)).sum::<f64>() / n as f64
 }
+
+/// The depth that steps are told: a wall, because what it takes to compare depths does not depend on them.
+const DEPTH_M: f32 = 20.0;
 
 /// A picture with structure at every scale.
 fn target(size: &Size) -> Vec<u8> {
