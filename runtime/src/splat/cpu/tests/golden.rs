@@ -1,7 +1,8 @@
 //! The backend against float64 references made with an independent public rasteriser (`../shared/golden`).
 //!
 //! `tests/golden/*.bin` hold the six smaller scenes: magic `KGLD`, n, width, height as u32, then little-endian f32 in
-//! the order of [`Scene::read`]. More scenes in the same form are read from the folder `KILOGS_GOLDEN`.
+//! the order of [`Scene::read`]. More scenes in the same form are read from the folder `KILOGS_GOLDEN`; `tests/convert_golden.py`
+//! writes them.
 
 use super::compare::{compare_depths, compare_gradients, compare_pictures};
 use crate::splat::cpu::decode::{N_PARAMS, group};
