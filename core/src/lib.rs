@@ -15,6 +15,8 @@ pub mod frame;
 
 pub mod features;
 
+pub mod correspondence;
+
 pub mod gate;
 
 pub mod pose;
