@@ -2,6 +2,7 @@
 
 use kilogs_camera::ipc::{HEALTH_SERVICE, HealthMessage, create_node, open_messages};
 use kilogs_camera::sim::{SimArgs, write_dataset};
+use kilogs_camera::source::DegradeArgs;
 use kilogs_tests::program::kilogs;
 use serde_json::Value;
 use std::path::Path;
@@ -19,7 +20,7 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 fn replayed(folder: &Path) -> (Value, Vec<u64>) {
     let dataset = folder.join("drive");
     let args = SimArgs { length: 30.0, width: SIZE[0], height: SIZE[1], mono: true, ..SimArgs::default() };
-    write_dataset(&args, &dataset, |_, _| ()).expect("a simulated drive");
+    write_dataset(&args, &DegradeArgs::default(), &dataset, |_, _| ()).expect("a simulated drive");
     let out = folder.join("out");
     let mut command = kilogs();
     command.arg("replay").arg(&dataset).arg("--out").arg(&out);

@@ -7,7 +7,7 @@ use crate::pipeline::{self, GivenPosesPlan, Pace, RunPlan};
 use crate::pose_file::PoseFile;
 use crate::run_error::RunError;
 use kilogs_camera::cli::{CameraError, parse_rate};
-use kilogs_camera::source::{CameraDescription, PlaybackRange, Schedule};
+use kilogs_camera::source::{CameraDescription, DegradeArgs, PlaybackRange, Schedule};
 use std::path::{Path, PathBuf};
 
 /// Mapping iterations per keyframe in lock-step, unless told otherwise.
@@ -17,7 +17,8 @@ pub const DEFAULT_ITERATIONS: u32 = 20;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Examples:\n  kilogs replay ../shared/data/kitti04-full --camera kitti --out out/04\n  \
     kilogs replay DATASET --camera camera.toml --live --rate 0.5 --out out/live\n  \
-    kilogs replay DATASET --camera kitti --poses DATASET/poses.txt --out out/given")]
+    kilogs replay DATASET --camera kitti --poses DATASET/poses.txt --out out/given\n  \
+    kilogs replay DATASET --camera kitti --degrade gap@100..110 --degrade rain@150..200 --out out/spoilt")]
 pub struct ReplayArgs {
     /// Folder in the layout of KITTI odometry.
     pub dataset: PathBuf,
@@ -55,6 +56,9 @@ pub struct ReplayArgs {
     /// chooses the keyframes. For telling errors of mapping from errors of tracking.
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
+    /// What is done to the frames.
+    #[command(flatten)]
+    pub degrade: DegradeArgs,
     /// What all tracking commands share.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -73,6 +77,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
     let schedule = Schedule::new(description.images.len() as u64, &range)?;
     plan.n_frames = Some(schedule.n_steps());
+    args.degrade.check(plan.n_frames)?;
     plan.given_poses = args.poses.as_deref().map(|poses| given_poses(poses, schedule, &description)).transpose()?;
     // The capture process has a list of its own.
     drop(description);
@@ -121,5 +126,6 @@ fn camera_arguments(args: &ReplayArgs, service: &str) -> Vec<String> {
         words.extend(["--live", "--wait-for-tracker", "30", "--end-with-tracker"].map(str::to_owned));
     }
     words.push("--quiet".to_owned());
+    words.extend(args.degrade.to_words());
     words
 }

@@ -71,7 +71,7 @@ impl SceneError {
     pub fn code(&self) -> u8 {
         match self {
             Self::File { .. } | Self::Poses(_) => 3,
-            Self::Source(SourceError::Range(_)) => 3,
+            Self::Source(SourceError::Range(_) | SourceError::LeftOut { .. }) => 3,
             Self::Source(SourceError::Camera { .. }) => 2,
             Self::Source(SourceError::File { .. }) => 3,
         }

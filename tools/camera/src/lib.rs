@@ -1,6 +1,7 @@
 //! The capture process as a library: where frames come from, and how they are published.
 
 pub mod camera_file;
+mod noise;
 pub mod sim;
 pub mod source;
 

@@ -4,7 +4,6 @@
 //! loaded: houses, markings, cars and trees are solids with band-limited procedural texture.
 
 mod candidates;
-mod noise;
 mod path;
 mod render;
 mod road_map;
@@ -16,7 +15,7 @@ pub use path::{Drive, Waypoint};
 pub use render::VIEW_DISTANCE_M;
 pub use truth::{TruthRecorder, TruthWriter, write_dataset};
 
-use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
+use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat, add_noise};
 use candidates::{Candidates, Frame};
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::math::Rng;
@@ -128,6 +127,9 @@ pub enum SimError {
         /// Frames of the drive.
         n_frames: u64,
     },
+    /// Frames cannot be spoilt as asked.
+    #[error(transparent)]
+    Degrade(#[from] SourceError),
     /// The truth could not be written.
     #[error("writing the simulator's truth to {path}: {reason}")]
     Truth {
@@ -241,21 +243,6 @@ fn part_of(n_frames: u64, args: &SimArgs) -> Result<(usize, usize), SimError> {
     match args.frames.map_or(left, |frames| frames.min(left)) {
         0 => Err(SimError::Range { start: args.start, frames: args.frames, n_frames }),
         n => Ok((args.start as usize, n as usize)),
-    }
-}
-
-/// Adds sensor noise whose sum of four uniform draws is close to a normal distribution.
-fn add_noise(rgb: &mut [u8], sigma: f64, rng: &mut Rng) {
-    if sigma == 0.0 {
-        return;
-    }
-    // Four bytes, each uniform on 0..=255, have a standard deviation of 2 * 73.9.
-    let gain = (sigma / 147.8) as f32;
-    for byte in rgb {
-        let bits = rng.next_u32();
-        let sum: u32 = bits.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
-        let noisy = f32::from(*byte) + gain * (sum as f32 - 510.0);
-        *byte = (noisy + 0.5).clamp(0.0, 255.0) as u8;
     }
 }
 

@@ -1,10 +1,10 @@
 //! Casts one ray per pixel, and a few more where two surfaces meet.
 
 use super::candidates::{Candidates, Frame};
-use super::noise::{detail, hash_unit, stripe};
 use super::path::Drive;
 use super::shapes::Hit;
 use super::town::{self, CENTER_LINE_M, LANE_LEFT_M, LANE_RIGHT_M, Material, PARKING_M, Solid, Town};
+use crate::noise::{detail, hash_unit, stripe};
 
 /// Beyond this the town fades into haze, m.
 pub const VIEW_DISTANCE_M: f64 = 180.0;

@@ -1,9 +1,9 @@
 //! Houses, parked cars and trees along the way.
 
-use super::noise::{hash, hash_unit};
 use super::path::{Drive, SPACING_M, Waypoint};
 use super::road_map::RoadMap;
 use super::shapes::{Ball, Hit, Ray, UprightBox};
+use crate::noise::{hash, hash_unit};
 
 /// What a solid is made of; decides its texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! The simulator's truth on disk, in the layout of KITTI odometry.
 
 use super::{CAMERA_HEIGHT_M, SimArgs, SimError, Simulator};
-use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
+use crate::source::{DegradeArgs, Degraded, FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
 use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
 use std::fs::{File, create_dir_all};
 use std::io::{BufWriter, Write};
@@ -131,30 +131,40 @@ impl FrameSource for TruthRecorder {
 }
 
 /// Simulates a whole drive into a KITTI-style folder: images, calibration, times and truth. Nothing is published.
+/// Images that `degrade` leaves out are missing; their truth is there.
 ///
 /// # Errors
-/// [`SimError`] when the way is unusable or the folder cannot be written.
-pub fn write_dataset(args: &SimArgs, folder: &Path, mut on_frame: impl FnMut(usize, usize)) -> Result<(), SimError> {
-    let mut simulator = Simulator::new(args)?;
-    let mut truth = TruthWriter::create(folder, &simulator)?;
-    let format = simulator.format();
+/// [`SimError`] when the way is unusable, a range of `degrade` lies behind the end or the folder cannot be written.
+pub fn write_dataset(
+    args: &SimArgs,
+    degrade: &DegradeArgs,
+    folder: &Path,
+    mut on_frame: impl FnMut(usize, usize),
+) -> Result<(), SimError> {
+    let simulator = Simulator::new(args)?;
+    let (format, n_frames) = (simulator.format(), simulator.n_frames());
     let (subfolder, color, channels) = match format.pixel_format {
         PixelFormat::Mono8 => ("image_0", ExtendedColorType::L8, 1),
         _ => ("images", ExtendedColorType::Rgb8, 3),
     };
     let images = folder.join(subfolder);
     create_dir_all(&images).map_err(|e| problem(&images, &e))?;
+    let mut source = Degraded::new(TruthRecorder::create(folder, simulator)?, degrade)?;
     let camera = format.camera;
     let mut pixels = vec![0; channels * camera.width as usize * camera.height as usize];
-    for frame in 0..simulator.n_frames() {
-        simulator.next_frame(&mut pixels).map_err(|e| problem(&images, &e))?;
-        let path = images.join(format!("{frame:06}.png"));
-        save_buffer_with_format(&path, &pixels, camera.width, camera.height, color, ImageFormat::Png)
-            .map_err(|e| problem(&path, &e))?;
-        truth.write(&simulator, frame)?;
-        on_frame(frame + 1, simulator.n_frames());
+    for frame in 0..n_frames {
+        match source.next_frame(&mut pixels) {
+            Err(SourceError::LeftOut { .. }) => (),
+            Err(other) => return Err(problem(&images, &other)),
+            Ok(_) => {
+                let path = images.join(format!("{frame:06}.png"));
+                save_buffer_with_format(&path, &pixels, camera.width, camera.height, color, ImageFormat::Png)
+                    .map_err(|e| problem(&path, &e))?;
+            }
+        }
+        on_frame(frame + 1, n_frames);
     }
-    truth.finish()
+    source.into_source().finish()
 }
 
 fn write_text(path: &Path, text: &str) -> Result<(), SimError> {
@@ -174,7 +184,8 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let args = SimArgs { width: 64, height: 32, length: 2.0, ..SimArgs::default() };
         let mut last = (0, 0);
-        write_dataset(&args, dir.path(), |done, all| last = (done, all)).expect("writable folder");
+        write_dataset(&args, &DegradeArgs::default(), dir.path(), |done, all| last = (done, all))
+            .expect("writable folder");
         assert!(last.0 == last.1 && last.0 > 2, "{last:?}");
         let poses = std::fs::read_to_string(dir.path().join("poses.txt")).expect("poses");
         assert_eq!(poses.lines().count(), last.1);

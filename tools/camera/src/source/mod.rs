@@ -1,11 +1,13 @@
 //! Where frames come from: a recorded folder or the simulated street.
 
 mod calibration;
+mod degrade;
 mod folder;
 mod image_file;
 mod image_list;
 mod playback;
 mod rectifier;
+mod sensor_noise;
 mod times;
 
 use std::path::{Path, PathBuf};
@@ -14,10 +16,12 @@ use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::conventions::TimestampNs;
 pub use kilogs_core::frame::PixelFormat;
 
+pub use degrade::{Degradation, DegradeArgs, Degraded, Effect};
 pub use folder::{CameraDescription, FolderSource, describe};
 pub use image_list::ImageList;
 pub use playback::{Playback, PlaybackRange, STANDING_FRAMES, Schedule};
 pub use rectifier::Distortion;
+pub(crate) use sensor_noise::add_noise;
 
 /// What every frame of a source has in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +74,12 @@ pub enum SourceError {
     /// The wish cannot be fulfilled with this source.
     #[error("playing back: {0}")]
     Range(String),
+    /// The frame was left out on purpose.
+    #[error("frame {frame} is left out by --degrade gap")]
+    LeftOut {
+        /// Which one, counted as they are played from 0.
+        frame: u64,
+    },
 }
 
 impl SourceError {

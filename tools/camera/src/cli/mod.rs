@@ -1,6 +1,7 @@
 //! The command line of the capture process; `kilogs` runs it in a child of its own.
 
-use std::ffi::OsString;
+mod words;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +14,7 @@ use crate::camera_file::CameraArgument;
 use crate::ipc::FrameSlots;
 use crate::publish::{Pace, PublishError, PublishSettings, publish};
 use crate::sim::{SimArgs, SimError, Simulator, TruthRecorder, write_dataset};
-use crate::source::{FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
+use crate::source::{DegradeArgs, Degraded, FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
 
 /// How long a lock-step run waits for its tracker.
 const TRACKER_PATIENCE_S: f64 = 30.0;
@@ -25,7 +26,8 @@ const TRACKER_PATIENCE_S: f64 = 30.0;
     version,
     after_help = "Examples:\n  kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live\n  \
                   kilogs-camera sim --seed 3 --length 500 --service front --live\n  \
-                  kilogs-camera sim --start 100 --frames 50 --write drive"
+                  kilogs-camera sim --start 100 --frames 50 --write drive\n  \
+                  kilogs-camera sim --degrade tunnel@50..80 --degrade rain@60..120 --write dark"
 )]
 pub struct CameraArgs {
     /// Where the frames come from.
@@ -39,13 +41,15 @@ pub enum SourceArgs {
     /// A recorded folder in the layout of KITTI odometry.
     #[command(
         after_help = "Examples:\n  kilogs-camera folder ../shared/data/kitti04-full --camera kitti --service front --live\n  \
-                      kilogs-camera folder ../shared/data/kitti04-full --camera kitti --start 50 --frames 100"
+                      kilogs-camera folder ../shared/data/kitti04-full --camera kitti --start 50 --frames 100\n  \
+                      kilogs-camera folder ../shared/data/kitti04-full --camera kitti --degrade gap@100..110"
     )]
     Folder(FolderArgs),
     /// A simulated street.
     #[command(
         after_help = "Examples:\n  kilogs-camera sim --seed 3 --length 500 --service front --live --truth truth\n  \
-                            kilogs-camera sim --start 100 --frames 50 --write drive"
+                            kilogs-camera sim --start 100 --frames 50 --write drive\n  \
+                            kilogs-camera sim --degrade tunnel@50..80 --write dark"
     )]
     Sim(SimulationArgs),
 }
@@ -62,6 +66,9 @@ pub struct SimulationArgs {
     /// Write the whole drive, images and truth, as a recorded folder, and publish nothing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["truth", "live", "service"])]
     pub write: Option<PathBuf>,
+    /// What is done to the frames.
+    #[command(flatten)]
+    pub degrade: DegradeArgs,
     /// How it is published.
     #[command(flatten)]
     pub publish: PublishArgs,
@@ -81,6 +88,9 @@ pub struct FolderArgs {
     /// Which part is played.
     #[command(flatten)]
     pub range: RangeArgs,
+    /// What is done to the frames.
+    #[command(flatten)]
+    pub degrade: DegradeArgs,
     /// How it is published.
     #[command(flatten)]
     pub publish: PublishArgs,
@@ -150,75 +160,10 @@ impl CameraError {
             Self::Source(SourceError::File { .. })
             | Self::Simulation(SimError::Path { .. } | SimError::Truth { .. })
             | Self::Publish(PublishError::NothingReadable { .. }) => 3,
-            Self::Source(SourceError::Camera { .. } | SourceError::Range(_))
-            | Self::Simulation(SimError::Range { .. }) => 2,
+            Self::Source(SourceError::Camera { .. } | SourceError::Range(_) | SourceError::LeftOut { .. })
+            | Self::Simulation(SimError::Range { .. } | SimError::Degrade(_)) => 2,
             Self::Publish(_) | Self::Signals(_) => 1,
         }
-    }
-}
-
-impl CameraArgs {
-    /// The words that parse to these arguments, for a child process.
-    pub fn to_words(&self) -> Vec<OsString> {
-        let mut words = Words::default();
-        let (publish, is_published) = match &self.source {
-            SourceArgs::Folder(folder) => {
-                words.word("folder").word(&folder.dataset);
-                words.option("--camera", folder.camera.as_ref());
-                words.option("--fps", folder.fps.map(|fps| fps.to_string()));
-                words.option("--start", Some(folder.range.start.to_string()));
-                words.option("--frames", folder.range.frames.map(|frames| frames.to_string()));
-                words.option("--ping-pong", Some(folder.range.ping_pong.to_string()));
-                (&folder.publish, true)
-            }
-            SourceArgs::Sim(SimulationArgs { sim, truth, write, publish }) => {
-                let SimArgs { seed, path, length, start, frames, width, height, fps, mono, noise } = sim;
-                words.word("sim").option("--seed", Some(seed.to_string()));
-                words.option("--path", path.as_ref());
-                words.option("--length", Some(length.to_string()));
-                words.option("--start", Some(start.to_string()));
-                words.option("--frames", frames.map(|frames| frames.to_string()));
-                words.option("--width", Some(width.to_string()));
-                words.option("--height", Some(height.to_string()));
-                words.option("--fps", Some(fps.to_string()));
-                words.switch("--mono", *mono);
-                words.option("--noise", Some(noise.to_string()));
-                words.option("--truth", truth.as_ref()).option("--write", write.as_ref());
-                (publish, write.is_none())
-            }
-        };
-        let PublishArgs { service, live, rate, wait_for_tracker, end_with_tracker, camera_id, quiet } = publish;
-        words.option("--service", is_published.then_some(service)).switch("--live", *live);
-        words.option("--rate", live.then(|| rate.to_string()));
-        words.option("--wait-for-tracker", wait_for_tracker.map(|seconds| seconds.to_string()));
-        words.switch("--end-with-tracker", *end_with_tracker);
-        words.option("--camera-id", Some(camera_id.to_string())).switch("--quiet", *quiet);
-        words.0
-    }
-}
-
-/// A command line in the making.
-#[derive(Default)]
-struct Words(Vec<OsString>);
-
-impl Words {
-    fn word(&mut self, word: impl Into<OsString>) -> &mut Self {
-        self.0.push(word.into());
-        self
-    }
-
-    /// `name=value` in one word, so that a value may begin with a dash.
-    fn option(&mut self, name: &str, value: Option<impl Into<OsString>>) -> &mut Self {
-        if let Some(value) = value {
-            let mut word = OsString::from(format!("{name}="));
-            word.push(value.into());
-            self.0.push(word);
-        }
-        self
-    }
-
-    fn switch(&mut self, name: &str, is_on: bool) -> &mut Self {
-        if is_on { self.word(name) } else { self }
     }
 }
 
@@ -253,7 +198,8 @@ pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
         SourceArgs::Folder(folder) => {
             let camera = folder.camera.as_deref().map(CameraArgument::from);
             let frames = FolderSource::open(&folder.dataset, camera.as_ref(), folder.fps)?;
-            run_source(&mut Playback::new(frames, &folder.range.range())?, &folder.publish)
+            let played = Playback::new(frames, &folder.range.range())?;
+            run_source(&mut Degraded::new(played, &folder.degrade)?, &folder.publish)
         }
         SourceArgs::Sim(simulation) => run_simulation(simulation),
     }
@@ -262,7 +208,7 @@ pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
 fn run_simulation(args: &SimulationArgs) -> Result<(), CameraError> {
     if let Some(folder) = &args.write {
         let bar = progress_bar(None, args.publish.quiet);
-        write_dataset(&args.sim, folder, |done, all| {
+        write_dataset(&args.sim, &args.degrade, folder, |done, all| {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
         })?;
@@ -272,11 +218,11 @@ fn run_simulation(args: &SimulationArgs) -> Result<(), CameraError> {
     let simulator = Simulator::new(&args.sim)?;
     match &args.truth {
         Some(folder) => {
-            let mut recorded = TruthRecorder::create(folder, simulator)?;
+            let mut recorded = Degraded::new(TruthRecorder::create(folder, simulator)?, &args.degrade)?;
             run_source(&mut recorded, &args.publish)?;
-            Ok(recorded.finish()?)
+            Ok(recorded.into_source().finish()?)
         }
-        None => run_source(&mut { simulator }, &args.publish),
+        None => run_source(&mut Degraded::new(simulator, &args.degrade)?, &args.publish),
     }
 }
 
@@ -369,24 +315,5 @@ mod tests {
                 assert!(parsed.is_ok(), "{words}: {parsed:?}");
             }
         }
-    }
-
-    #[test]
-    fn arguments_survive_the_way_to_a_child_process() {
-        let check = |line: &str| {
-            let parse = |words: Vec<OsString>| {
-                CameraArgs::try_parse_from([OsString::from("kilogs-camera")].into_iter().chain(words))
-                    .unwrap_or_else(|e| panic!("{line}: {e}"))
-            };
-            let first = parse(line.split(' ').map(OsString::from).collect());
-            assert_eq!(format!("{:?}", parse(first.to_words())), format!("{first:?}"), "{line}");
-        };
-        check("folder data");
-        check("folder data --camera kitti --fps 12.5 --start 3 --frames 9 --ping-pong 2 --service a/b --camera-id 4");
-        check("folder data --live --rate 0.3 --wait-for-tracker 1.5 --end-with-tracker --quiet");
-        check("sim");
-        check("sim --seed 9 --path poses.txt --length 50 --width 160 --height 64 --fps 20 --mono --noise 0.5 --live");
-        check("sim --start 20 --frames 5 --truth out --service x");
-        check("sim --write out");
     }
 }

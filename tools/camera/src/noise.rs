@@ -20,7 +20,7 @@ pub fn hash_unit(x: i32, y: i32, seed: u32) -> f32 {
 }
 
 /// Smooth noise in [-1, 1] with wavelength about 1.
-fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
+pub fn smooth_noise(x: f32, y: f32, seed: u32) -> f32 {
     let (fx, fy) = (x.floor(), y.floor());
     let (ix, iy) = (fx as i32, fy as i32);
     let smooth = |t: f32| t * t * (3.0 - 2.0 * t);
@@ -44,7 +44,7 @@ pub fn detail(x_m: f32, y_m: f32, seed: u32, footprint_m: f32) -> f32 {
         if visible == 0.0 {
             break;
         }
-        sum += visible * value_noise(x_m / wavelength_m, y_m / wavelength_m, seed.wrapping_add(octave as u32));
+        sum += visible * smooth_noise(x_m / wavelength_m, y_m / wavelength_m, seed.wrapping_add(octave as u32));
     }
     0.6 * sum
 }
