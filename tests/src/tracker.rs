@@ -2,6 +2,7 @@
 
 use kilogs_core::bundle::ReducedSystem;
 use kilogs_core::camera::{Mounting, Pinhole};
+use kilogs_core::correspondence::PixelMatch;
 use kilogs_core::features::SimdLevel;
 use kilogs_core::features::corners::Corner;
 use kilogs_core::features::lk::Flow;
@@ -22,11 +23,13 @@ pub fn with_tracker<R>(camera: Pinhole, mounting: Mounting, seed: u64, drive: im
         pyramids: [first, second, third],
         tracks: TrackStorage {
             tracks: &mut vec![Track::NONE; n],
+            at_keyframe: &mut vec![Track::NONE; n],
             flows: &mut vec![Flow::new([0.0; 2], [0.0; 2]); n],
             corners: &mut vec![Corner::NONE; n],
             distances_px: &mut vec![0.0; n],
         },
         landmarks: &mut vec![Landmark::default(); capacities.landmarks],
+        pixel_matches: &mut vec![PixelMatch::default(); n],
         matches: &mut vec![Match::default(); n],
         landmark_matches: &mut vec![LandmarkMatch::default(); n],
         is_inlier: &mut vec![false; n],

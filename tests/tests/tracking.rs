@@ -108,6 +108,27 @@ fn a_standing_vehicle_stays_where_it_is_and_is_tracked() {
 }
 
 #[test]
+fn a_camera_that_hangs_is_told_from_a_vehicle_that_stands() {
+    const STEP_M: f64 = 0.5;
+    with_tracker(|tracker| {
+        for i in 0..10 {
+            assert_eq!(step(tracker, &street(i as f64 * STEP_M), i).status, FrameStatus::Tracked);
+        }
+        let hung_at = street(9.0 * STEP_M);
+        for i in 10..18 {
+            let report = step(tracker, &hung_at, i);
+            assert_eq!((report.status, report.reason), (FrameStatus::Doubtful, StatusReason::Frozen));
+            let expected_m = STEP_M * i as f64;
+            assert!((report.world_from_camera.translation.z - expected_m).abs() < 0.05 * expected_m, "{report:?}");
+        }
+        // Half a metre after the image that hung, and a second later: it was the vehicle that had stopped.
+        let after = step(tracker, &street(10.0 * STEP_M), 18);
+        assert_eq!(after.status, FrameStatus::Tracked);
+        assert!((after.world_from_camera.translation.z - 10.0 * STEP_M).abs() < 0.3, "{after:?}");
+    });
+}
+
+#[test]
 fn black_images_are_lost_and_tracking_starts_anew_behind_them() {
     let black = vec![0; WIDTH * HEIGHT];
     with_tracker(|tracker| {

@@ -7,6 +7,10 @@ use super::lk::{self, Flow, LkSettings, LkVerdict, squared_distance};
 use crate::frame::Pyramid;
 use core::fmt;
 
+mod reseed;
+
+pub use reseed::ReseedReport;
+
 /// Keyframes whose pixel a track remembers, the last one included.
 pub const HISTORY_KEYFRAMES: usize = 8;
 
@@ -68,6 +72,23 @@ impl Track {
         history_px: [[0.0; 2]; HISTORY_KEYFRAMES],
     };
 
+    /// A track that begins in the keyframe.
+    fn born(id: u64, keyframe_px: [f32; 2], min_eigenvalue: f32) -> Self {
+        let mut history_px = [[0.0; 2]; HISTORY_KEYFRAMES];
+        history_px[0] = keyframe_px;
+        Self {
+            id,
+            keyframe_px,
+            previous_px: keyframe_px,
+            current_px: keyframe_px,
+            n_keyframes: 1,
+            correlation: 1.0,
+            min_eigenvalue,
+            history_px,
+            ..Self::NONE
+        }
+    }
+
     /// Pixel in a former keyframe: 0 is the last one, 1 the one before; `None` before its birth and beyond
     /// [`HISTORY_KEYFRAMES`].
     pub fn in_keyframe_px(&self, keyframes_back: usize) -> Option<[f32; 2]> {
@@ -85,6 +106,8 @@ impl Track {
 pub struct TrackStorage<'m> {
     /// The tracks.
     pub tracks: &'m mut [Track],
+    /// The tracks as the last keyframe left them, so that dead ones can be found again.
+    pub at_keyframe: &'m mut [Track],
     /// Scratch of the search.
     pub flows: &'m mut [Flow],
     /// Scratch of the corner detector.
@@ -160,7 +183,8 @@ impl<'m> TrackTable<'m> {
     /// # Errors
     /// [`UnequalStorage`] when the slices differ in length.
     pub fn new(storage: TrackStorage<'m>) -> Result<Self, UnequalStorage> {
-        let lengths = [storage.tracks.len(), storage.flows.len(), storage.corners.len(), storage.distances_px.len()];
+        let TrackStorage { tracks, at_keyframe, flows, corners, distances_px } = &storage;
+        let lengths = [tracks.len(), at_keyframe.len(), flows.len(), corners.len(), distances_px.len()];
         let (shortest, longest) = lengths.iter().fold((usize::MAX, 0), |(s, l), &n| (s.min(n), l.max(n)));
         if shortest != longest {
             return Err(UnequalStorage { shortest, longest });
@@ -256,25 +280,15 @@ impl<'m> TrackTable<'m> {
         let existing_px = live.iter().map(|track| track.current_px);
         let report = corners::detect(simd, current.image(), &settings.corners, existing_px, corners);
         for (slot, corner) in free.iter_mut().zip(corners.iter()).take(report.n_found) {
-            let mut history_px = [[0.0; 2]; HISTORY_KEYFRAMES];
-            history_px[0] = corner.pixel;
-            *slot = Track {
-                id: self.n_born,
-                keyframe_px: corner.pixel,
-                previous_px: corner.pixel,
-                current_px: corner.pixel,
-                age_frames: 0,
-                n_keyframes: 1,
-                shape: IDENTITY,
-                correlation: 1.0,
-                min_eigenvalue: corner.min_eigenvalue,
-                history_px,
-            };
+            *slot = Track::born(self.n_born, corner.pixel, corner.min_eigenvalue);
             self.n_born += 1;
         }
         self.n_live += report.n_found;
         self.n_at_keyframe = self.n_live;
         self.frames_since_keyframe = 0;
+        for (kept, track) in self.storage.at_keyframe.iter_mut().zip(self.storage.tracks.iter()).take(self.n_live) {
+            *kept = *track;
+        }
         report
     }
 

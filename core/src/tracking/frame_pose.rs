@@ -1,19 +1,18 @@
 //! The pose of one frame against the last keyframe.
 
 use super::drift::step_covariance;
-use super::settings::{DynamicFilter, PoseModels};
-use super::tracker::{Motion, NO_LANDMARK, Tracker, seconds_between};
+use super::matches::z1_of;
+use super::recovery::{Aids, MatchSource};
+use super::settings::PoseModels;
+use super::tracker::{Motion, Tracker, seconds_between};
 use super::{FrameStatus, PoseModel, StatusReason};
-use crate::camera::{Mounting, Pinhole};
+use crate::camera::Mounting;
 use crate::conventions::{Rigid, TimestampNs};
-use crate::features::tracks::{Track, TrackReport};
+use crate::features::tracks::TrackReport;
 use crate::math::Rng;
-use crate::pose::{
-    LandmarkMatch, Match, RelativePose, StepLength, estimate_pnp, estimate_relative, fit_step_length,
-    relative_covariance,
-};
+use crate::pose::{RelativePose, StepLength, estimate_pnp, estimate_relative, fit_step_length, relative_covariance};
 use crate::verify::{MotionVerdict, judge_motion};
-use nalgebra::{Matrix6, Translation3, Vector2, Vector3};
+use nalgebra::{Matrix6, Translation3, Vector3};
 
 /// Random streams of the robust loops.
 const PURPOSE_PNP: u64 = 1;
@@ -29,12 +28,22 @@ const SHORTEST_STEP_M: f64 = 1e-6;
 /// How far the speed so far tells the length of a step before there are landmarks, relative.
 const COASTED_LENGTH_RATIO: f64 = 0.3;
 
+/// The frame whose pose is wanted.
+pub(super) struct Moment {
+    /// `camera_from_world` by constant velocity.
+    pub(super) predicted: Rigid,
+    pub(super) frame_index: u64,
+    pub(super) timestamp_ns: TimestampNs,
+}
+
 /// What became of a frame's pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FramePose {
     pub(super) status: FrameStatus,
     pub(super) reason: StatusReason,
     pub(super) model: PoseModel,
+    /// Where the matches behind it came from.
+    pub(super) source: MatchSource,
     pub(super) camera_from_world: Rigid,
     pub(super) is_keyframe: bool,
     pub(super) is_standing: bool,
@@ -58,6 +67,7 @@ impl FramePose {
             status: FrameStatus::Doubtful,
             reason: StatusReason::TooFewInliers,
             model: PoseModel::Predicted,
+            source: MatchSource::Tracks,
             camera_from_world: *camera_from_world,
             is_keyframe: false,
             is_standing: false,
@@ -97,6 +107,11 @@ impl FramePose {
         (moved - lever).norm() as f32
     }
 
+    fn of_source(self, source: MatchSource) -> Self {
+        let model = if source == MatchSource::Dense { PoseModel::Dense } else { self.model };
+        Self { model, source, ..self }
+    }
+
     fn with_figures(self, verdict: &MotionVerdict) -> Self {
         let reason = match verdict {
             MotionVerdict::Accept(_) => self.reason,
@@ -109,49 +124,62 @@ impl FramePose {
     }
 }
 
-/// A pixel on the plane z = 1.
-pub(super) fn z1_of(camera: &Pinhole, pixel: [f32; 2]) -> Vector2<f64> {
-    camera.unproject_z1(&Vector2::new(f64::from(pixel[0]), f64::from(pixel[1])))
-}
-
 impl Tracker<'_> {
     /// Finds, checks and, if need be, replaces the pose of the current frame.
-    pub(super) fn frame_pose(
-        &mut self,
-        predicted: &Rigid,
-        frame_index: u64,
-        timestamp_ns: TimestampNs,
-        tracks: &TrackReport,
-    ) -> FramePose {
-        if self.tracks.tracks().len() < self.settings.min_inliers {
+    pub(super) fn frame_pose(&mut self, moment: &Moment, tracks: &mut TrackReport, aids: &mut Aids<'_>) -> FramePose {
+        let has_tracks = self.tracks.tracks().len() >= self.settings.min_inliers;
+        if !has_tracks && !aids.can_match() {
             let reason = StatusReason::TooFewMatches;
-            return FramePose { status: FrameStatus::Lost, reason, ..FramePose::predicted(predicted) };
+            return FramePose { status: FrameStatus::Lost, reason, ..FramePose::predicted(&moment.predicted) };
         }
-        if f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still() {
+        let is_still = f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still();
+        if has_tracks && is_still {
             return self.standing();
         }
-        let mut rejected = None;
+        let mut refused = None;
+        for source in [MatchSource::Tracks, MatchSource::Sparse, MatchSource::Dense] {
+            if source != MatchSource::Tracks && !self.rematch(source, aids, tracks) {
+                continue;
+            }
+            match self.solve(moment, source) {
+                Ok(pose) => return pose,
+                Err(figures) => refused = refused.or(figures),
+            }
+        }
+        let reason = if has_tracks { StatusReason::TooFewInliers } else { StatusReason::TooFewMatches };
+        let figures = refused.unwrap_or(FramePose { reason, ..FramePose::predicted(&moment.predicted) });
+        FramePose {
+            status: FrameStatus::Doubtful,
+            model: PoseModel::Predicted,
+            camera_from_world: moment.predicted,
+            ..figures
+        }
+    }
+
+    /// A pose from the live tracks that is believed; else the first one that was refused, if there was any.
+    fn solve(&mut self, moment: &Moment, source: MatchSource) -> Result<FramePose, Option<FramePose>> {
+        if self.tracks.tracks().len() < self.settings.min_inliers {
+            return Err(None);
+        }
+        let noise_px = self.settings.noise_px_of(source);
+        let mut refused = None;
         if self.is_started && self.settings.pose_models != PoseModels::Essential {
-            match self.pnp_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
-                Some((pose, true)) => return pose,
-                Some((pose, false)) => rejected = Some(pose),
+            let pose = self.pnp_pose(moment, noise_px).map(|p| self.verified(p, moment.timestamp_ns));
+            match pose {
+                Some((pose, true)) => return Ok(pose.of_source(source)),
+                Some((pose, false)) => refused = Some(pose),
                 None => {}
             }
         }
         if !self.is_started || self.settings.pose_models != PoseModels::Pnp {
-            match self.essential_pose(predicted, frame_index).map(|p| self.verified(p, timestamp_ns)) {
-                Some((pose, true)) => return pose,
-                Some((pose, false)) => rejected = rejected.or(Some(pose)),
+            let pose = self.essential_pose(moment, noise_px).map(|p| self.verified(p, moment.timestamp_ns));
+            match pose {
+                Some((pose, true)) => return Ok(pose.of_source(source)),
+                Some((pose, false)) => refused = refused.or(Some(pose)),
                 None => {}
             }
         }
-        let figures = rejected.unwrap_or(FramePose::predicted(predicted));
-        FramePose {
-            status: FrameStatus::Doubtful,
-            model: PoseModel::Predicted,
-            camera_from_world: *predicted,
-            ..figures
-        }
+        Err(refused)
     }
 
     /// Judges the step from the last frame: the pose with the verdict's figures, and whether it is believed.
@@ -199,41 +227,14 @@ impl Tracker<'_> {
         n_street >= MIN_STANDING_TRACKS && n_still as f64 > STANDING_SHARE * n_street as f64
     }
 
-    /// Fills the landmark matches of the current frame and returns their number.
-    pub(super) fn collect_landmark_matches(&mut self) -> usize {
-        let (camera_from_world, flow_limit_px) = (self.newest.camera_from_world, self.flow_limit_px());
-        let mut n = 0;
-        for (track, &landmark_idx) in self.tracks.tracks().iter().zip(self.scratch.landmark_of_track.iter()) {
-            let Some(landmark) = self.landmarks.get(landmark_idx as usize) else { continue };
-            if landmark.is_outlier || !landmark.has_depth() || track.flow_px() > flow_limit_px {
-                continue;
-            }
-            let Some(view) = self.window.landmark_in(landmark, &camera_from_world) else { continue };
-            let found = LandmarkMatch {
-                reference_z1: z1_of(&self.camera, track.keyframe_px),
-                inverse_depth: view.inverse_depth,
-                inverse_depth_sigma: view.sigma,
-                seen_z1: z1_of(&self.camera, track.current_px),
-            };
-            let (Some(slot), Some(idx)) =
-                (self.scratch.landmark_matches.get_mut(n), self.scratch.landmark_of_match.get_mut(n))
-            else {
-                break;
-            };
-            (*slot, *idx) = (found, landmark_idx);
-            n += 1;
-        }
-        n
-    }
-
     /// Pose from the window's landmarks.
-    fn pnp_pose(&mut self, predicted: &Rigid, frame_index: u64) -> Option<FramePose> {
+    fn pnp_pose(&mut self, moment: &Moment, noise_px: f64) -> Option<FramePose> {
         let n = self.collect_landmark_matches();
         let matches = self.scratch.landmark_matches.get(..n)?;
         let keyframe_from_world = self.newest.camera_from_world;
-        let settings = self.settings.pnp(&self.camera);
-        let mut rng = Rng::new(self.seed, frame_index, PURPOSE_PNP);
-        let guess = predicted * keyframe_from_world.inverse();
+        let settings = self.settings.pnp(&self.camera, noise_px);
+        let mut rng = Rng::new(self.seed, moment.frame_index, PURPOSE_PNP);
+        let guess = moment.predicted * keyframe_from_world.inverse();
         let found = estimate_pnp(matches, &guess, &settings, &mut rng, self.scratch.is_inlier).ok()?;
         let n_inliers = self.scratch.is_inlier.iter().take(n).filter(|&&i| i).count();
         if n_inliers < self.settings.min_inliers || (n_inliers as f64) < self.settings.min_inlier_ratio * n as f64 {
@@ -247,16 +248,16 @@ impl Tracker<'_> {
     }
 
     /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.
-    fn essential_pose(&mut self, predicted: &Rigid, frame_index: u64) -> Option<FramePose> {
+    fn essential_pose(&mut self, moment: &Moment, noise_px: f64) -> Option<FramePose> {
         let n = self.collect_matches();
         let matches = self.scratch.matches.get(..n)?;
         let keyframe_from_world = self.newest.camera_from_world;
-        let guess = predicted * keyframe_from_world.inverse();
+        let guess = moment.predicted * keyframe_from_world.inverse();
         let length_m = guess.translation.vector.norm();
         let predicted_direction = (length_m > SHORTEST_STEP_M)
             .then(|| RelativePose { rotation: guess.rotation, direction: guess.translation.vector / length_m });
-        let settings = self.settings.relative(&self.camera);
-        let mut rng = Rng::new(self.seed, frame_index, PURPOSE_ESSENTIAL);
+        let settings = self.settings.relative(&self.camera, noise_px);
+        let mut rng = Rng::new(self.seed, moment.frame_index, PURPOSE_ESSENTIAL);
         let found =
             estimate_relative(matches, predicted_direction.as_ref(), &settings, &mut rng, self.scratch.is_inlier)
                 .ok()?;
@@ -272,7 +273,7 @@ impl Tracker<'_> {
         };
         let StepLength { length_m, sigma_m } = self.length_of_step(&motion, length_m, &mut pose)?;
         let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * length_m), motion.rotation);
-        let (noise_z1, cutoff_z1) = (self.settings.noise_z1(&self.camera), settings.inlier_z1);
+        let (noise_z1, cutoff_z1) = (noise_px / self.camera.fx, settings.inlier_z1);
         let matches = self.scratch.matches.get(..n)?;
         pose.step_covariance = relative_covariance(matches, &motion, noise_z1, cutoff_z1, length_m, sigma_m)
             .unwrap_or_else(|| step_covariance(&Matrix6::zeros()));
@@ -296,79 +297,5 @@ impl Tracker<'_> {
         pose.is_metric = false;
         let sigma_m = COASTED_LENGTH_RATIO * predicted_m;
         self.motion.is_known().then_some(StepLength { length_m: predicted_m, sigma_m })
-    }
-
-    /// Fills the matches of all live tracks with the keyframe and returns their number.
-    pub(super) fn collect_matches(&mut self) -> usize {
-        let flow_limit = self.flow_limit_px();
-        let mut n = 0;
-        let alive = self.tracks.tracks().iter().filter(|t| t.flow_px() <= flow_limit);
-        for (slot, track) in self.scratch.matches.iter_mut().zip(alive) {
-            *slot = Match {
-                first_z1: z1_of(&self.camera, track.keyframe_px),
-                second_z1: z1_of(&self.camera, track.current_px),
-            };
-            n += 1;
-        }
-        n
-    }
-
-    /// Largest flow that the paper's filter lets pass, px.
-    fn flow_limit_px(&self) -> f32 {
-        if self.settings.dynamic_filter != DynamicFilter::Paper {
-            return f32::INFINITY;
-        }
-        flow_limit_px(self.tracks.tracks())
-    }
-
-    /// Renews the table from tracks to landmarks and notes which landmarks have lost their track.
-    pub(super) fn link_landmarks(&mut self) {
-        let tracks = self.tracks.tracks();
-        self.scratch.landmark_of_track.fill(NO_LANDMARK);
-        for (i, landmark) in self.landmarks.iter_mut().enumerate().filter(|(_, l)| l.is_used() && l.is_tracked) {
-            match tracks.binary_search_by_key(&landmark.track_id, |t| t.id) {
-                Ok(place) => {
-                    if let Some(slot) = self.scratch.landmark_of_track.get_mut(place) {
-                        *slot = i as u32;
-                    }
-                }
-                Err(_) => landmark.is_tracked = false,
-            }
-        }
-    }
-}
-
-/// The paper's limit, median + 3 MAD of the flow, by bisection: it needs no memory for sorting.
-fn flow_limit_px(tracks: &[Track]) -> f32 {
-    const MADS: f32 = 3.0;
-    let median_px = median(tracks.iter().map(Track::flow_px));
-    let mad_px = median(tracks.iter().map(|t| (t.flow_px() - median_px).abs()));
-    median_px + MADS * mad_px
-}
-
-/// Median by bisection of the value range, to f32 precision.
-fn median(values: impl Iterator<Item = f32> + Clone) -> f32 {
-    const HALVINGS: usize = 30;
-    let n = values.clone().count();
-    let (mut low, mut high) = (0.0_f32, values.clone().fold(0.0, f32::max));
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (low + high);
-        if 2 * values.clone().filter(|&v| v <= middle).count() >= n { high = middle } else { low = middle }
-    }
-    high
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_median_needs_no_memory() {
-        for (values, expected) in
-            [([1.0, 9.0, 3.0, 2.0, 100.0], 3.0), ([5.0; 5], 5.0), ([0.0, 0.0, 0.0, 7.0, 8.0], 0.0)]
-        {
-            assert!((median(values.into_iter()) - expected).abs() < 1e-4, "{values:?}");
-        }
-        assert_eq!(median([].into_iter()), 0.0);
     }
 }

@@ -3,12 +3,16 @@
 mod depths;
 mod drift;
 mod frame_pose;
+mod matches;
 mod promotion;
+mod recovery;
+mod restart;
 mod road;
 mod settings;
 mod storage;
 mod tracker;
 
+pub use recovery::{Aids, MatchSource, Travelled};
 pub use settings::{DynamicFilter, PoseModels, TrackingSettings};
 pub use storage::{
     BYTES_PER_LANDMARK, BYTES_PER_TRACK, N_PYRAMIDS, TrackerCapacities, TrackerFill, TrackerStorage,
@@ -37,6 +41,8 @@ pub enum StatusReason {
     Verified,
     /// The first frame, which defines the world.
     FirstFrame,
+    /// The same bytes as the frame before, in the middle of a drive: the camera delivers, but it does not look.
+    Frozen,
     /// Too few matches to estimate a motion from.
     TooFewMatches,
     /// No pose with which the matches agree.
@@ -101,6 +107,8 @@ pub struct FrameReport {
     pub reason: StatusReason,
     /// What the pose came from.
     pub model: PoseModel,
+    /// Where the matches behind it came from.
+    pub source: MatchSource,
     /// Whether poses are relative to this frame from here on; where tracking begins anew, a doubtful one.
     pub is_keyframe: bool,
     /// Ordinal of the keyframe that the pose is relative to (itself, when it is one).

@@ -1,7 +1,8 @@
 //! What happens when a frame becomes a keyframe.
 
 use super::depths::{mark_impossible, triangulate_new};
-use super::frame_pose::{FramePose, z1_of};
+use super::frame_pose::FramePose;
+use super::matches::z1_of;
 use super::tracker::{NO_LANDMARK, Tracker};
 use super::{DynamicFilter, KeyframePoint};
 use crate::bundle::{BundleSettings, adjust};

@@ -1,5 +1,6 @@
 //! Every constant of the tracker, with unit, range and source.
 
+use super::recovery::MatchSource;
 use crate::camera::Pinhole;
 use crate::features::tracks::TrackSettings;
 use crate::gate::GateSettings;
@@ -44,6 +45,8 @@ pub struct TrackingSettings {
     pub bundle_adjustment: bool,
     /// Standard deviation of a track's position, px. Range 0.05..2; ours, from reprojection errors on KITTI.
     pub noise_px: f64,
+    /// Standard deviation of a track that a matcher found again, px. Range 0.05..5; ours.
+    pub matched_noise_px: f64,
     /// Sampson distance below which a match agrees with an essential matrix, px. Range 0.1..4; peers use 0.2..1.
     pub essential_inlier_px: f64,
     /// Most samples of the robust loops. Range 20..5000.
@@ -94,6 +97,7 @@ impl TrackingSettings {
         dynamic_filter: DynamicFilter::Region,
         bundle_adjustment: true,
         noise_px: 0.35,
+        matched_noise_px: 0.7,
         essential_inlier_px: 0.7,
         max_trials: 300,
         confidence: 0.999,
@@ -147,18 +151,25 @@ impl TrackingSettings {
         self.noise_px / camera.fx
     }
 
-    pub(super) fn relative(&self, camera: &Pinhole) -> RelativeSettings {
+    /// Standard deviation of matches, px.
+    pub(super) fn noise_px_of(&self, source: MatchSource) -> f64 {
+        if source == MatchSource::Tracks { self.noise_px } else { self.matched_noise_px.max(self.noise_px) }
+    }
+
+    /// `noise_px`: standard deviation of the matches that it is for.
+    pub(super) fn relative(&self, camera: &Pinhole, noise_px: f64) -> RelativeSettings {
         RelativeSettings {
-            inlier_z1: self.essential_inlier_px / camera.fx,
+            inlier_z1: self.essential_inlier_px * (noise_px / self.noise_px) / camera.fx,
             confidence: self.confidence,
             trials: [FEWEST_TRIALS, self.max_trials],
             local_iterations: LOCAL_ITERATIONS,
         }
     }
 
-    pub(super) fn pnp(&self, camera: &Pinhole) -> PnpSettings {
+    /// `noise_px`: standard deviation of the matches that it is for.
+    pub(super) fn pnp(&self, camera: &Pinhole, noise_px: f64) -> PnpSettings {
         PnpSettings {
-            noise_z1: self.noise_z1(camera),
+            noise_z1: noise_px / camera.fx,
             inlier_sigmas: self.pnp_inlier_sigmas,
             confidence: self.confidence,
             trials: [0, self.max_trials],

@@ -2,6 +2,7 @@
 
 use super::{KeyframePoint, Tracker};
 use crate::bundle::ReducedSystem;
+use crate::correspondence::PixelMatch;
 use crate::features::corners::Corner;
 use crate::features::lk::Flow;
 use crate::features::tracks::{Track, TrackStorage};
@@ -53,7 +54,8 @@ pub struct TrackerFill {
 }
 
 /// Bytes per track: the track, the scratch of its search, its matches and its published point.
-pub const BYTES_PER_TRACK: usize = size_of::<Track>()
+pub const BYTES_PER_TRACK: usize = 2 * size_of::<Track>()
+    + size_of::<PixelMatch>()
     + size_of::<Flow>()
     + size_of::<Corner>()
     + size_of::<f32>()
@@ -75,6 +77,8 @@ pub struct TrackerStorage<'m> {
     pub tracks: TrackStorage<'m>,
     /// Landmarks of the window.
     pub landmarks: &'m mut [Landmark],
+    /// Scratch: what a matcher found.
+    pub pixel_matches: &'m mut [PixelMatch],
     /// Scratch: matches of the current frame with the keyframe.
     pub matches: &'m mut [Match],
     /// Scratch: landmarks seen by the current frame.
@@ -96,6 +100,7 @@ impl TrackerStorage<'_> {
     pub(super) fn shortest(&self) -> (usize, usize) {
         let needed = self.tracks.tracks.len();
         let shortest = [
+            self.pixel_matches.len(),
             self.matches.len(),
             self.landmark_matches.len(),
             self.is_inlier.len(),

@@ -1,13 +1,15 @@
 //! The tracker: storage, state and the order of the stages.
 
 use super::drift::Drift;
-use super::frame_pose::FramePose;
+use super::frame_pose::{FramePose, Moment};
+use super::recovery::Aids;
 use super::settings::TrackingSettings;
 use super::storage::{N_PYRAMIDS, TrackerStorage, TrackerStorageProblem};
-use super::{FrameReport, FrameStatus, KeyframePoint, PoseModel, RoadPlane, StatusReason};
+use super::{FrameReport, FrameStatus, KeyframePoint, RoadPlane, StatusReason};
 use crate::bundle::ReducedSystem;
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::{Rigid, TimestampNs};
+use crate::correspondence::PixelMatch;
 use crate::features::SimdLevel;
 use crate::features::tracks::{TrackImages, TrackReport, TrackTable};
 use crate::frame::pyramid::PyramidStorageTooSmall;
@@ -25,6 +27,8 @@ use nalgebra::{Vector3, Vector6};
 pub const PYRAMID_LEVELS: usize = 4;
 /// Prediction does not coast for longer than this, s.
 pub(super) const MAX_COAST_S: f64 = 1.0;
+/// What tyres can do, m/s^2.
+const HARDEST_BRAKING_M_PER_S2: f64 = 10.0;
 /// Nanoseconds per second.
 const NS_PER_S: f64 = 1e9;
 /// A track without a landmark.
@@ -32,6 +36,7 @@ pub(super) const NO_LANDMARK: u32 = u32::MAX;
 
 /// Scratch slices, all as long as the track table.
 pub(super) struct Scratch<'m> {
+    pub(super) pixel_matches: &'m mut [PixelMatch],
     pub(super) matches: &'m mut [Match],
     pub(super) landmark_matches: &'m mut [LandmarkMatch],
     pub(super) is_inlier: &'m mut [bool],
@@ -91,7 +96,7 @@ pub struct Tracker<'m> {
     pub(super) road: Option<RoadPlane>,
     /// Whether the window has landmarks with metric depth.
     pub(super) is_started: bool,
-    n_doubtful: u32,
+    pub(super) n_doubtful: u32,
     last_timestamp_ns: Option<TimestampNs>,
 }
 
@@ -148,6 +153,7 @@ impl<'m> Tracker<'m> {
             window: KeyframeWindow::new(),
             newest: Keyframe { ordinal: 0, frame_index: 0, timestamp_ns: 0, camera_from_world: identity },
             scratch: Scratch {
+                pixel_matches: storage.pixel_matches,
                 matches: storage.matches,
                 landmark_matches: storage.landmark_matches,
                 is_inlier: storage.is_inlier,
@@ -196,6 +202,17 @@ impl<'m> Tracker<'m> {
     /// # Output
     /// Pose, verdict and figures. Numbers are finite except where their documentation says NaN.
     pub fn step(&mut self, image: ImageView<'_>, frame_index: u64, timestamp_ns: TimestampNs) -> FrameReport {
+        self.step_aided(image, frame_index, timestamp_ns, &mut Aids::default())
+    }
+
+    /// [`step`](Self::step) with what the caller can lend: matchers for when tracks break, sources of the scale.
+    pub fn step_aided(
+        &mut self,
+        image: ImageView<'_>,
+        frame_index: u64,
+        timestamp_ns: TimestampNs,
+        aids: &mut Aids<'_>,
+    ) -> FrameReport {
         self.current_slot =
             (0..N_PYRAMIDS).find(|&slot| slot != self.keyframe_slot && slot != self.previous_slot).unwrap_or(0);
         self.n_slots_used = self.n_slots_used.max(self.current_slot + 1);
@@ -204,8 +221,12 @@ impl<'m> Tracker<'m> {
             let pose = FramePose::lost(&self.motion, StatusReason::Unusable);
             return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
         }
-        self.last_timestamp_ns = Some(timestamp_ns);
+        let before_ns = self.last_timestamp_ns.replace(timestamp_ns);
         let predicted = self.predict(timestamp_ns);
+        if before_ns.is_some_and(|before_ns| self.is_frozen(seconds_between(before_ns, timestamp_ns))) {
+            let pose = FramePose { reason: StatusReason::Frozen, ..FramePose::predicted(&predicted) };
+            return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
+        }
         if self.window.is_empty() {
             let pose = self.start_window(frame_index, timestamp_ns, &predicted);
             return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
@@ -215,9 +236,10 @@ impl<'m> Tracker<'m> {
             previous: &self.pyramids[self.previous_slot],
             current: &self.pyramids[self.current_slot],
         };
-        let track_report = self.tracks.advance(self.simd, images, &self.settings.tracks);
+        let mut track_report = self.tracks.advance(self.simd, images, &self.settings.tracks);
         self.link_landmarks();
-        let mut pose = self.frame_pose(&predicted, frame_index, timestamp_ns, &track_report);
+        let moment = Moment { predicted, frame_index, timestamp_ns };
+        let mut pose = self.frame_pose(&moment, &mut track_report, aids);
         self.previous_slot = self.current_slot;
         if pose.status == FrameStatus::Tracked {
             self.n_doubtful = 0;
@@ -270,6 +292,16 @@ impl<'m> Tracker<'m> {
         gate::judge(&change, &limits).is_keyframe() && (self.is_started || pose.is_metric)
     }
 
+    /// Whether the current image is the one before once more although the vehicle cannot have stopped in between.
+    ///
+    /// A sensor has noise: the same bytes twice come from a camera that hangs, or from a recording that was stretched.
+    fn is_frozen(&self, duration_s: f64) -> bool {
+        let stops_from_m_per_s = HARDEST_BRAKING_M_PER_S2 * duration_s;
+        let is_driving = self.motion.prior.as_ref().is_some_and(|p| p.speed_m_per_s > stops_from_m_per_s);
+        let [before, now] = [self.previous_slot, self.current_slot].map(|slot| self.pyramids[slot].image());
+        is_driving && (0..now.height()).all(|y| before.row(y) == now.row(y))
+    }
+
     /// Takes over a believed pose.
     fn believe(&mut self, pose: &FramePose, timestamp_ns: TimestampNs) {
         let duration_s = self.seconds_since_last(timestamp_ns);
@@ -284,48 +316,6 @@ impl<'m> Tracker<'m> {
         }
         self.motion.camera_from_world = pose.camera_from_world;
         self.motion.timestamp_ns = timestamp_ns;
-    }
-
-    /// Opens a window at the predicted pose, if the image has something to hold on to.
-    fn start_window(&mut self, frame_index: u64, timestamp_ns: TimestampNs, predicted: &Rigid) -> FramePose {
-        let is_first_ever = self.window.next_ordinal() == 0;
-        self.tracks.clear();
-        let current = &self.pyramids[self.current_slot];
-        let found = self.tracks.promote(self.simd, current, &self.settings.tracks).n_found;
-        if found < self.settings.min_corners {
-            self.tracks.clear();
-            return FramePose::lost(&self.motion, StatusReason::TooFewMatches);
-        }
-        (self.keyframe_slot, self.previous_slot) = (self.current_slot, self.current_slot);
-        let column = self.window.push(frame_index, timestamp_ns, *predicted, self.landmarks);
-        self.adopt_new_tracks(column);
-        self.note_newest();
-        let pose = FramePose::predicted(predicted);
-        self.drift = if is_first_ever { Drift::none() } else { self.blind_drift(&pose, timestamp_ns) };
-        self.drift.forget_scale();
-        self.drift_at_keyframe = self.drift;
-        self.motion.camera_from_world = *predicted;
-        self.motion.timestamp_ns = timestamp_ns;
-        self.n_doubtful = 0;
-        FramePose {
-            status: if is_first_ever { FrameStatus::Tracked } else { FrameStatus::Doubtful },
-            reason: if is_first_ever { StatusReason::FirstFrame } else { StatusReason::Restarted },
-            model: if is_first_ever { PoseModel::Origin } else { PoseModel::Predicted },
-            is_keyframe: true,
-            ..pose
-        }
-    }
-
-    /// Gives the window up; the next frame opens a new one at the predicted pose.
-    fn abandon_window(&mut self) {
-        self.window.clear(self.landmarks);
-        self.tracks.clear();
-        self.is_started = false;
-        self.n_doubtful = 0;
-        self.motion.prior = None;
-        self.n_keyframe_points = 0;
-        self.road = None;
-        self.scale = ScaleFilter::new(&self.settings.scale);
     }
 
     /// Remembers the newest keyframe, to which reports are relative even after the window was given up.
@@ -351,6 +341,7 @@ impl<'m> Tracker<'m> {
             status: pose.status,
             reason: pose.reason,
             model: pose.model,
+            source: pose.source,
             is_keyframe: pose.is_keyframe,
             keyframe_ordinal: self.newest.ordinal,
             keyframe_from_camera: self.newest.camera_from_world * world_from_camera,

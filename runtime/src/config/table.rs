@@ -97,6 +97,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.gate_min_survivors_ratio", Range::closed(0.0, 1.0), tracking.tracker.gate.min_survivors_ratio),
     whole!("tracking.gate_min_tracks", Range::closed(0.0, 65536.0), tracking.tracker.gate.min_tracks),
     number!("tracking.noise_px", Range::closed(0.05, 2.0), tracking.tracker.noise_px),
+    number!("tracking.matched_noise_px", Range::closed(0.05, 5.0), tracking.tracker.matched_noise_px),
     number!("tracking.essential_inlier_px", Range::closed(0.1, 4.0), tracking.tracker.essential_inlier_px),
     whole!("tracking.max_trials", Range::closed(20.0, 5000.0), tracking.tracker.max_trials),
     number!("tracking.confidence", Range::closed_open(0.9, 1.0), tracking.tracker.confidence),

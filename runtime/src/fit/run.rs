@@ -13,7 +13,7 @@ use crate::run_error::RunError;
 use crate::telemetry::MemoryWatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_core::conventions::Rigid;
-use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+use kilogs_core::tracking::{FrameReport, FrameStatus, MatchSource, PoseModel, StatusReason};
 use nalgebra::Matrix6;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -149,6 +149,7 @@ impl FrameReports {
             status: FrameStatus::Tracked,
             reason: StatusReason::Verified,
             model: PoseModel::Origin,
+            source: MatchSource::Tracks,
             is_keyframe,
             keyframe_ordinal,
             keyframe_from_camera: world_from_keyframe.inverse() * world_from_camera,

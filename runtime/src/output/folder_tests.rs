@@ -1,6 +1,6 @@
 use super::*;
 use crate::output::Stage;
-use kilogs_core::tracking::{PoseModel, StatusReason};
+use kilogs_core::tracking::{MatchSource, PoseModel, StatusReason};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use tempfile::TempDir;
 
@@ -15,6 +15,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         status,
         reason: if status == FrameStatus::Tracked { StatusReason::Verified } else { StatusReason::TooFewInliers },
         model: PoseModel::Essential,
+        source: MatchSource::Tracks,
         is_keyframe: along_m == 0.0 && status == FrameStatus::Tracked,
         keyframe_ordinal,
         keyframe_from_camera,

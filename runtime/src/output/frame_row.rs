@@ -4,14 +4,14 @@ use super::number::{Measured, Seconds};
 use super::sink::TextSink;
 use super::{OutputError, STAGES, StageTimes};
 use kilogs_core::conventions::TimestampNs;
-use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
+use kilogs_core::tracking::{FrameReport, FrameStatus, MatchSource, PoseModel, StatusReason};
 
 /// Columns before the milliseconds per stage.
-const COLUMNS: &str = "index,t,status,reason,keyframe,model,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
+const COLUMNS: &str = "index,t,status,reason,keyframe,model,matches,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
      rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio";
 
 /// Columns of a dropped frame between its status and its (absent) stage times.
-const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,";
+const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,,";
 
 pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
     csv.write(format_args!("{COLUMNS}"))?;
@@ -21,13 +21,14 @@ pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
 
 pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &StageTimes) -> Result<(), OutputError> {
     csv.write(format_args!(
-        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         frame.frame_index,
         Seconds(frame.timestamp_ns),
         status_name(frame.status),
         reason_name(frame.reason),
         u8::from(frame.is_tracked_keyframe()),
         model_name(frame.model),
+        source_name(frame.source),
         frame.n_tracks,
         frame.n_matches,
         frame.n_inliers,
@@ -68,6 +69,7 @@ fn reason_name(reason: StatusReason) -> &'static str {
     match reason {
         StatusReason::Verified => "verified",
         StatusReason::FirstFrame => "first_frame",
+        StatusReason::Frozen => "frozen",
         StatusReason::TooFewMatches => "too_few_matches",
         StatusReason::TooFewInliers => "too_few_inliers",
         StatusReason::TurnsTooFast => "turns_too_fast",
@@ -75,6 +77,14 @@ fn reason_name(reason: StatusReason) -> &'static str {
         StatusReason::TooFast => "too_fast",
         StatusReason::Restarted => "restarted",
         StatusReason::Unusable => "unusable",
+    }
+}
+
+fn source_name(source: MatchSource) -> &'static str {
+    match source {
+        MatchSource::Tracks => "tracks",
+        MatchSource::Sparse => "sparse",
+        MatchSource::Dense => "dense",
     }
 }
 

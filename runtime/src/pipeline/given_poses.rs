@@ -117,6 +117,7 @@ mod tests {
             status: FrameStatus::Doubtful,
             reason: StatusReason::TooFast,
             model: PoseModel::Predicted,
+            source: kilogs_core::tracking::MatchSource::Tracks,
             is_keyframe,
             keyframe_ordinal,
             keyframe_from_camera: Rigid::identity(),

@@ -6,6 +6,7 @@ use crate::map_store::{DEFAULT_JPEG_QUALITY, StoreSettings, WhenBusy};
 use crate::mapping::{Mapper, MapperSettings};
 use crate::run_error::RunError;
 use crate::splat::SplatBackend;
+use kilogs_core::correspondence::PixelMatch;
 use kilogs_core::features::corners::Corner;
 use kilogs_core::features::lk::Flow;
 use kilogs_core::features::tracks::{Track, TrackStorage};
@@ -72,11 +73,13 @@ pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
         pyramids: [pyramid(), pyramid(), pyramid()],
         tracks: TrackStorage {
             tracks: kept(Track::NONE, n_tracks),
+            at_keyframe: kept(Track::NONE, n_tracks),
             flows: kept(Flow::new([0.0; 2], [0.0; 2]), n_tracks),
             corners: kept(Corner::NONE, n_tracks),
             distances_px: kept(0.0, n_tracks),
         },
         landmarks: kept(Landmark::default(), capacities.landmarks),
+        pixel_matches: kept(PixelMatch::default(), n_tracks),
         matches: kept(Match::default(), n_tracks),
         landmark_matches: kept(LandmarkMatch::default(), n_tracks),
         is_inlier: kept(false, n_tracks),

@@ -2,6 +2,7 @@
 
 use kilogs_core::bundle::ReducedSystem;
 use kilogs_core::camera::{Mounting, Pinhole};
+use kilogs_core::correspondence::PixelMatch;
 use kilogs_core::features::corners::Corner;
 use kilogs_core::features::tracks::{Track, TrackStorage};
 use kilogs_core::features::{Flow, SimdLevel};
@@ -34,6 +35,7 @@ const N_LANDMARKS: usize = 2048;
 const PYRAMID_BYTES: usize = 256 << 10;
 
 const NO_Z1: Vector2<f64> = Vector2::new(0.0, 0.0);
+const NO_PIXEL_MATCH: PixelMatch = PixelMatch { keyframe_px: [0.0; 2], current_px: [0.0; 2], confidence: 0.0 };
 const NO_MATCH: Match = Match { first_z1: NO_Z1, second_z1: NO_Z1 };
 const NO_LANDMARK_MATCH: LandmarkMatch =
     LandmarkMatch { reference_z1: NO_Z1, inverse_depth: 0.0, inverse_depth_sigma: 0.0, seen_z1: NO_Z1 };
@@ -44,10 +46,12 @@ pub struct Storage {
     pixels: [u8; WIDTH * HEIGHT],
     pyramids: [[u8; PYRAMID_BYTES]; 3],
     tracks: [Track; N_TRACKS],
+    at_keyframe: [Track; N_TRACKS],
     flows: [Flow; N_TRACKS],
     corners: [Corner; N_TRACKS],
     distances_px: [f32; N_TRACKS],
     landmarks: [Landmark; N_LANDMARKS],
+    pixel_matches: [PixelMatch; N_TRACKS],
     matches: [Match; N_TRACKS],
     landmark_matches: [LandmarkMatch; N_TRACKS],
     is_inlier: [bool; N_TRACKS],
@@ -63,10 +67,12 @@ impl Storage {
         pixels: [0; WIDTH * HEIGHT],
         pyramids: [[0; PYRAMID_BYTES]; 3],
         tracks: [Track::NONE; N_TRACKS],
+        at_keyframe: [Track::NONE; N_TRACKS],
         flows: [Flow::new([0.0; 2], [0.0; 2]); N_TRACKS],
         corners: [Corner::NONE; N_TRACKS],
         distances_px: [0.0; N_TRACKS],
         landmarks: [Landmark::NONE; N_LANDMARKS],
+        pixel_matches: [NO_PIXEL_MATCH; N_TRACKS],
         matches: [NO_MATCH; N_TRACKS],
         landmark_matches: [NO_LANDMARK_MATCH; N_TRACKS],
         is_inlier: [false; N_TRACKS],
@@ -84,11 +90,13 @@ pub fn along_a_street(storage: &mut Storage) -> Result<(), &'static str> {
         pyramids: [first, second, third],
         tracks: TrackStorage {
             tracks: &mut storage.tracks,
+            at_keyframe: &mut storage.at_keyframe,
             flows: &mut storage.flows,
             corners: &mut storage.corners,
             distances_px: &mut storage.distances_px,
         },
         landmarks: &mut storage.landmarks,
+        pixel_matches: &mut storage.pixel_matches,
         matches: &mut storage.matches,
         landmark_matches: &mut storage.landmark_matches,
         is_inlier: &mut storage.is_inlier,

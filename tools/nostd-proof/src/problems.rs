@@ -127,6 +127,7 @@ fn tracks_through_images() -> Result<(), &'static str> {
     let second = pyramid_of_texture(MOTION_PX, &mut second_storage)?;
     let storage = TrackStorage {
         tracks: &mut [Track::NONE; N_TRACKS],
+        at_keyframe: &mut [Track::NONE; N_TRACKS],
         flows: &mut [Flow::new([0.0; 2], [0.0; 2]); N_TRACKS],
         corners: &mut [Corner::NONE; N_TRACKS],
         distances_px: &mut [0.0; N_TRACKS],

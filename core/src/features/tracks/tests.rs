@@ -8,6 +8,7 @@ const SETTINGS: TrackSettings =
 
 struct Memory {
     tracks: Vec<Track>,
+    at_keyframe: Vec<Track>,
     flows: Vec<Flow>,
     corners: Vec<Corner>,
     distances_px: Vec<f32>,
@@ -17,6 +18,7 @@ impl Memory {
     fn new(capacity: usize) -> Self {
         Self {
             tracks: vec![Track::NONE; capacity],
+            at_keyframe: vec![Track::NONE; capacity],
             flows: vec![Flow::new([0.0; 2], [0.0; 2]); capacity],
             corners: vec![Corner::NONE; capacity],
             distances_px: vec![0.0; capacity],
@@ -26,6 +28,7 @@ impl Memory {
     fn table(&mut self) -> TrackTable<'_> {
         TrackTable::new(TrackStorage {
             tracks: &mut self.tracks,
+            at_keyframe: &mut self.at_keyframe,
             flows: &mut self.flows,
             corners: &mut self.corners,
             distances_px: &mut self.distances_px,
@@ -136,6 +139,7 @@ fn capacities_down_to_nothing_are_held() {
     memory.flows.pop();
     let storage = TrackStorage {
         tracks: &mut memory.tracks,
+        at_keyframe: &mut memory.at_keyframe,
         flows: &mut memory.flows,
         corners: &mut memory.corners,
         distances_px: &mut memory.distances_px,
