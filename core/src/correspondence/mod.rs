@@ -3,6 +3,10 @@
 //! Tracks are exact and cheap, and break when the light, the exposure or the distance between two images changes too
 //! much. What stands here starts from the two images alone.
 
+pub mod dense;
+
+pub use dense::{DenseCapacities, DenseMatcher, DenseNode, DenseSettings, DenseStorage};
+
 use crate::frame::Pyramid;
 
 /// The two images of a matching.

@@ -3,7 +3,7 @@
 //! Every operation is an exact integer operation, so that both give the same bits.
 
 /// Pixels of a row: a 21-px window rounded up to whole registers.
-pub(super) const LANES: usize = 32;
+pub(crate) const LANES: usize = 32;
 
 /// Which SIMD instructions the machine has: a token made once at start-up by the caller.
 /// The results have the same bits on every level.
@@ -29,7 +29,7 @@ impl SimdLevel {
 
     /// Runs `task` with the kernels of this level, compiled for its instructions.
     #[inline(always)]
-    pub(super) fn run<T: KernelTask>(self, task: T) {
+    pub(crate) fn run<T: KernelTask>(self, task: T) {
         match self {
             Self::Scalar => task.run(Plain),
             #[cfg(target_arch = "x86_64")]
@@ -39,7 +39,7 @@ impl SimdLevel {
 }
 
 /// Work that is compiled once per SIMD level. All it calls must be `#[inline(always)]`.
-pub(super) trait KernelTask {
+pub(crate) trait KernelTask {
     /// Does the work with the operations of `kernel`.
     fn run<K: Kernel>(self, kernel: K);
 }
@@ -61,7 +61,7 @@ impl<T: KernelTask, K: Kernel> pulp::WithSimd for Vectorized<T, K> {
 }
 
 /// Operations on rows of sixteen-bit lanes; all wrap on overflow, which the callers' bounds exclude.
-pub(super) trait Kernel: Copy {
+pub(crate) trait Kernel: Copy {
     /// A row of [`LANES`] lanes.
     type Row: Copy;
     /// Sums of neighbouring pairs of lanes.
@@ -89,7 +89,7 @@ pub(super) trait Kernel: Copy {
 
 /// Plain loops, for every machine.
 #[derive(Clone, Copy)]
-pub(super) struct Plain;
+pub(crate) struct Plain;
 
 #[inline(always)]
 fn map_lanes(a: [i16; LANES], b: [i16; LANES], f: impl Fn(i16, i16) -> i16) -> [i16; LANES] {

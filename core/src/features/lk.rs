@@ -174,7 +174,7 @@ impl KernelTask for Search<'_, '_> {
 
 /// Squared distance of two pixels, px².
 #[inline(always)]
-pub(super) fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+pub(crate) fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f32 {
     let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
     dx * dx + dy * dy
 }
@@ -206,7 +206,7 @@ fn search<K: Kernel>(
             continue;
         }
         let start = target_px.map(|c| c * scale);
-        let found = descend(kernel, &template, &to, start, settings.max_steps, settings.coarse_converged_px);
+        let found = descend(kernel, &template, &to, start, 1.0, settings.max_steps, settings.coarse_converged_px);
         target_px = found.map_or(target_px, |px| px.map(|c| c / scale));
     }
     let (Some(from), Some(to)) = (source.level(0), target.level(0)) else { return (target_px, LkVerdict::LeftImage) };
@@ -215,7 +215,7 @@ fn search<K: Kernel>(
     if min_eigenvalue < settings.min_eigenvalue {
         return (target_px, LkVerdict::Flat { min_eigenvalue });
     }
-    let found = descend(kernel, &template, &to, target_px, settings.max_steps, settings.converged_px);
+    let found = descend(kernel, &template, &to, target_px, 1.0, settings.max_steps, settings.converged_px);
     let px = found.unwrap_or(target_px);
     if !inside(target, px) {
         return (px, LkVerdict::LeftImage);
@@ -228,13 +228,14 @@ fn search<K: Kernel>(
 }
 
 /// Newton steps from `start_px` until they are shorter than `converged_px` or used up; `None` when the search
-/// leaves the image or goes farther than the window reaches.
+/// leaves the image or goes farther than the window reaches. Steps are `step_scale` times Newton's.
 #[inline(always)]
-fn descend<K: Kernel>(
+pub(crate) fn descend<K: Kernel>(
     kernel: K,
     template: &Template,
     level: &PaddedImage<'_>,
     start_px: [f32; 2],
+    step_scale: f32,
     max_steps: u32,
     converged_px: f32,
 ) -> Option<[f32; 2]> {
@@ -242,7 +243,7 @@ fn descend<K: Kernel>(
     let mut px = start_px;
     let mut last_step = [0.0f32; 2];
     for _ in 0..max_steps {
-        let step = template.compare(kernel, level, px)?.step_px?;
+        let step = template.compare(kernel, level, px)?.step_px?.map(|c| c * step_scale);
         px = [px[0] + step[0], px[1] + step[1]];
         if squared_distance(px, start_px) > FARTHEST_PX * FARTHEST_PX {
             return None;
@@ -261,7 +262,7 @@ fn descend<K: Kernel>(
 }
 
 /// Whether a pixel lies at least `border_px` inside the image; not a number is outside.
-fn is_inside(pyramid: &Pyramid<'_>, px: [f32; 2], border_px: f32) -> bool {
+pub(crate) fn is_inside(pyramid: &Pyramid<'_>, px: [f32; 2], border_px: f32) -> bool {
     let within = |c: f32, size: usize| c >= border_px && c <= size as f32 - border_px;
     within(px[0], pyramid.width()) && within(px[1], pyramid.height())
 }

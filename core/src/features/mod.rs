@@ -2,14 +2,14 @@
 
 pub mod affine;
 pub mod corners;
-mod lanes;
+pub(crate) mod lanes;
 pub mod lk;
 mod resample;
 pub mod tracks;
-mod window;
+pub(crate) mod window;
 
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
 pub use affine::AffineSettings;
 pub use corners::{Corner, CornerReport, CornerSettings};

@@ -10,7 +10,7 @@ const ONE: f32 = (1u32 << FRACTION_BITS) as f32;
 /// Interpolates bilinearly at `center + shape * w`, where w runs over the grid of `ROWS` x `ROWS` offsets around zero;
 /// columns beyond are left alone. `None` when a corner lies outside image and margin or is no number.
 #[inline(always)]
-pub(super) fn sample<const COLUMNS: usize, const ROWS: usize>(
+pub(crate) fn sample<const COLUMNS: usize, const ROWS: usize>(
     level: &PaddedImage<'_>,
     placement: &Placement,
     values: &mut [[f32; COLUMNS]; ROWS],

@@ -3,11 +3,13 @@
 //! Integers make the sums exact, so that they do not depend on the order in which SIMD lanes are added: the bits are
 //! the same on every machine. The bounds that keep 16 and 32 bits from overflowing stand at the constants.
 
+use super::affine::Placement;
 use super::lanes::{Kernel, LANES};
+use super::resample::sample;
 use crate::frame::pyramid::PaddedImage;
 
 /// Side of the tracked window, px. Bouguet 2001 and the paper's supplement: 21.
-pub(super) const WINDOW: usize = 21;
+pub(crate) const WINDOW: usize = 21;
 
 const WINDOW_PIXELS: f64 = (WINDOW * WINDOW) as f64;
 
@@ -95,7 +97,7 @@ fn split(coordinate: f32) -> Option<[i32; 2]> {
 ///
 /// # Source
 /// Baker & Matthews 2004, part 3 (projecting out appearance variation), with exact integer sums.
-pub(super) struct Template {
+pub(crate) struct Template {
     value: Plane,
     gradient_x: Plane,
     gradient_y: Plane,
@@ -118,9 +120,9 @@ struct Statistics {
 }
 
 /// How a window compares with a template.
-pub(super) struct Comparison {
+pub(crate) struct Comparison {
     /// Newton step that brings the window closer, px; `None` where the gradients span no plane.
-    pub(super) step_px: Option<[f32; 2]>,
+    pub(crate) step_px: Option<[f32; 2]>,
     difference_mean: f64,
     /// Covariation of the differences with the halved grey values.
     half_difference: f64,
@@ -129,7 +131,7 @@ pub(super) struct Comparison {
 impl Template {
     /// Window around `center_px` of a level; `None` when it leaves image and margin.
     #[inline(always)]
-    pub(super) fn around<K: Kernel>(kernel: K, level: &PaddedImage<'_>, center_px: [f32; 2]) -> Option<Self> {
+    pub(crate) fn around<K: Kernel>(kernel: K, level: &PaddedImage<'_>, center_px: [f32; 2]) -> Option<Self> {
         const REACH: f32 = (WINDOW / 2 + 1) as f32;
         let rows = Rows::around(kernel, level, center_px, REACH)?;
         let mut grown = [[0i16; GROWN_LANES]; WINDOW + 2];
@@ -138,6 +140,21 @@ impl Template {
             let below = rows.columns(kernel, r + 1)?;
             kernel.store(kernel.blend(here, below, rows.weight_y), grown.first_chunk_mut()?);
             here = below;
+        }
+        Self::from_grown(kernel, &grown)
+    }
+
+    /// Window around the centre of `placement` whose offsets are deformed by its shape; `None` when it leaves image and
+    /// margin.
+    #[inline(always)]
+    pub(crate) fn deformed<K: Kernel>(kernel: K, level: &PaddedImage<'_>, placement: &Placement) -> Option<Self> {
+        let mut values = [[0.0f32; GROWN_LANES]; WINDOW + 2];
+        sample(level, placement, &mut values)?;
+        let mut grown = [[0i16; GROWN_LANES]; WINDOW + 2];
+        for (grown, values) in grown.iter_mut().zip(&values) {
+            for i in 0..GROWN_LANES {
+                grown[i] = (values[i] * (1u32 << GRAY_BITS) as f32) as i16;
+            }
         }
         Self::from_grown(kernel, &grown)
     }
@@ -215,16 +232,31 @@ impl Template {
 
     /// Smallest eigenvalue of the mean gradient matrix, squared grey values per squared pixel.
     #[inline(always)]
-    pub(super) fn min_eigenvalue<K: Kernel>(&self, kernel: K) -> f32 {
+    pub(crate) fn min_eigenvalue<K: Kernel>(&self, kernel: K) -> f32 {
         const UNIT: f64 = WINDOW_PIXELS * (1u32 << (2 * GRADIENT_BITS)) as f64;
         let [xx, xy, yy] = self.statistics.hessian.map(|sum| sum / UNIT);
         let half_difference = 0.5 * (xx - yy);
         (0.5 * (xx + yy) - kernel.sqrt(half_difference * half_difference + xy * xy)) as f32
     }
 
+    /// Standard deviation of a position found by this window in its worst direction, level px, when what differs is
+    /// white noise and in both windows; `None` when there is nothing but noise.
+    ///
+    /// Noise makes gradients of its own, which hold nothing.
+    #[inline(always)]
+    pub(crate) fn sigma_px<K: Kernel>(&self, kernel: K, correlation: f32) -> Option<f32> {
+        /// Variance of a Sobel gradient of white noise of variance 1.
+        const SOBEL_NOISE: f64 = 12.0 / 64.0;
+        const UNIT: f64 = 4.0 / ((1u32 << (2 * GRAY_BITS)) as f64 * WINDOW_PIXELS);
+        let variance = self.statistics.half_spread * UNIT;
+        let noise = variance * f64::from(1.0 - correlation).max(0.0);
+        let signal = f64::from(self.min_eigenvalue(kernel)) - SOBEL_NOISE * noise;
+        (signal > 0.0).then(|| kernel.sqrt(2.0 * noise / (WINDOW_PIXELS * signal)) as f32)
+    }
+
     /// Compares the window of `level` around `center_px`; `None` when it leaves image and margin.
     #[inline(always)]
-    pub(super) fn compare<K: Kernel>(
+    pub(crate) fn compare<K: Kernel>(
         &self,
         kernel: K,
         level: &PaddedImage<'_>,
@@ -261,12 +293,29 @@ impl Template {
 
     /// Correlation coefficient with the window of `level` around `center_px`, in [-1, 1]; 0 for a flat window.
     #[inline(always)]
-    pub(super) fn correlation<K: Kernel>(
+    pub(crate) fn correlation<K: Kernel>(
         &self,
         kernel: K,
         level: &PaddedImage<'_>,
         center_px: [f32; 2],
     ) -> Option<f32> {
+        let [spread, found_spread, together] = self.spreads(kernel, level, center_px)?;
+        let norm = kernel.sqrt((spread * found_spread).max(0.0));
+        Some(if norm > 0.0 { (together / norm).clamp(-1.0, 1.0) as f32 } else { 0.0 })
+    }
+
+    /// How many times the contrast of the template the window of `level` around `center_px` has, whatever it shows;
+    /// `None` when one of them is flat.
+    #[inline(always)]
+    pub(crate) fn contrast<K: Kernel>(&self, kernel: K, level: &PaddedImage<'_>, center_px: [f32; 2]) -> Option<f32> {
+        let [spread, found_spread, _] = self.spreads(kernel, level, center_px)?;
+        (spread > 0.0 && found_spread > 0.0).then(|| kernel.sqrt(found_spread / spread) as f32)
+    }
+
+    /// Sums of squares of the template and of the window of `level` around `center_px`, and of their products, all
+    /// without means and of halved grey values.
+    #[inline(always)]
+    fn spreads<K: Kernel>(&self, kernel: K, level: &PaddedImage<'_>, center_px: [f32; 2]) -> Option<[f64; 3]> {
         const REACH: f32 = (WINDOW / 2) as f32;
         let comparison = self.compare(kernel, level, center_px)?;
         let rows = Rows::around(kernel, level, center_px, REACH)?;
@@ -287,8 +336,7 @@ impl Template {
         let spread = self.statistics.half_spread;
         let together = spread + 0.5 * comparison.half_difference;
         let found_spread = spread + comparison.half_difference + difference_spread;
-        let norm = kernel.sqrt((spread * found_spread).max(0.0));
-        Some(if norm > 0.0 { (together / norm).clamp(-1.0, 1.0) as f32 } else { 0.0 })
+        Some([spread, found_spread, together])
     }
 }
 
