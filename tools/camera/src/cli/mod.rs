@@ -49,7 +49,8 @@ pub enum SourceArgs {
     #[command(
         after_help = "Examples:\n  kilogs-camera sim --seed 3 --length 500 --service front --live --truth truth\n  \
                             kilogs-camera sim --start 100 --frames 50 --write drive\n  \
-                            kilogs-camera sim --degrade tunnel@50..80 --write dark"
+                            kilogs-camera sim --degrade tunnel@50..80 --write dark\n  \
+                            kilogs-camera sim --drive pure-rotation --length 120 --write turn"
     )]
     Sim(SimulationArgs),
 }

@@ -20,9 +20,10 @@ impl CameraArgs {
                 (&folder.publish, true)
             }
             SourceArgs::Sim(SimulationArgs { sim, truth, write, degrade, publish }) => {
-                let SimArgs { seed, path, length, start, frames, width, height, fps, mono, noise } = sim;
+                let SimArgs { seed, path, drive, length, start, frames, width, height, fps, mono, noise } = sim;
                 words.word("sim").option("--seed", Some(seed.to_string()));
                 words.option("--path", path.as_ref());
+                words.option("--drive", path.is_none().then(|| drive.name()));
                 words.option("--length", Some(length.to_string()));
                 words.option("--start", Some(start.to_string()));
                 words.option("--frames", frames.map(|frames| frames.to_string()));
@@ -97,6 +98,7 @@ mod tests {
         check("sim");
         check("sim --seed 9 --path poses.txt --length 50 --width 160 --height 64 --fps 20 --mono --noise 0.5 --live");
         check("sim --start 20 --frames 5 --truth out --service x");
+        check("sim --drive planar-wall");
         check("sim --write out --degrade gap@5..7");
         check("folder data --degrade tunnel@5..7 --degrade rain@1..9 --degrade-seed 7");
     }

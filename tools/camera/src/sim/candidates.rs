@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn no_pixel_misses_a_solid_that_a_search_through_all_of_them_finds() {
-        let drive = Drive::generate(5, 200.0, 10.0);
+        let drive = Drive::generate(super::super::drive_kind::DriveKind::Street, 5, 200.0, 10.0);
         let town = Town::build(&drive, 5);
         let camera = Pinhole { width: 160, height: 48, fx: 93.0, fy: 93.0, cx: 80.0, cy: 23.0 };
         for arc_m in [3.0, 70.0, 110.0] {

@@ -3,7 +3,9 @@
 //! Given the same settings it delivers the same bytes on every machine of one architecture. Nothing is
 //! loaded: houses, markings, cars and trees are solids with band-limited procedural texture.
 
+mod args;
 mod candidates;
+mod drive_kind;
 mod path;
 mod render;
 mod road_map;
@@ -11,6 +13,8 @@ mod shapes;
 mod town;
 mod truth;
 
+pub use args::{SimArgs, SimError, parse_length};
+pub use drive_kind::DriveKind;
 pub use path::{Drive, Waypoint};
 pub use render::VIEW_DISTANCE_M;
 pub use truth::{TruthRecorder, TruthWriter, write_dataset};
@@ -20,125 +24,7 @@ use candidates::{Candidates, Frame};
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::math::Rng;
 use render::{Scene, moving_cars};
-use std::path::PathBuf;
 use town::{Solid, Town};
-
-/// What to simulate.
-#[derive(clap::Args, Clone, Debug)]
-pub struct SimArgs {
-    /// Seed of the town's look and, without --path, of the way.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Drive along these KITTI poses (one frame per pose, laid flat) instead of a generated way.
-    #[arg(long, value_name = "POSES")]
-    pub path: Option<PathBuf>,
-    /// Length of a generated drive, m.
-    #[arg(long, default_value_t = 320.0, value_name = "METRES", value_parser = parse_length)]
-    pub length: f64,
-    /// Leave out this many frames at the beginning of the drive; times and town stay as they are.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    pub start: u64,
-    /// Deliver at most this many frames.
-    #[arg(long, value_name = "N")]
-    pub frames: Option<u64>,
-    /// Image width, px.
-    #[arg(long, default_value_t = 620, value_parser = clap::value_parser!(u32).range(32..=4096))]
-    pub width: u32,
-    /// Image height, px.
-    #[arg(long, default_value_t = 188, value_parser = clap::value_parser!(u32).range(32..=4096))]
-    pub height: u32,
-    /// Frames per second.
-    #[arg(long, default_value_t = 10.0, value_parser = positive)]
-    pub fps: f64,
-    /// Publish grey images instead of colour.
-    #[arg(long)]
-    pub mono: bool,
-    /// Standard deviation of the sensor's noise, in steps of 8 bits.
-    #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
-    pub noise: f64,
-}
-
-/// Settings for tests and for the demo: `SimArgs` as if nothing had been typed.
-impl Default for SimArgs {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            path: None,
-            length: 320.0,
-            start: 0,
-            frames: None,
-            width: 620,
-            height: 188,
-            fps: 10.0,
-            mono: false,
-            noise: 1.0,
-        }
-    }
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err(format!("\"{text}\" is not a number above 0")),
-    }
-}
-
-/// Reads the length of a drive, m: what is laid out before the first frame has to have an end.
-///
-/// # Errors
-/// What is wrong with it.
-pub fn parse_length(text: &str) -> Result<f64, String> {
-    const LONGEST_M: f64 = 100_000.0;
-    match positive(text)? {
-        length_m if length_m <= LONGEST_M => Ok(length_m),
-        length_m => Err(format!("{length_m} m is more than the longest drive, {LONGEST_M} m")),
-    }
-}
-
-fn not_negative(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
-        _ => Err(format!("\"{text}\" is not a number of at least 0")),
-    }
-}
-
-/// Why a drive cannot be simulated or its truth not be written.
-#[derive(Debug, thiserror::Error)]
-pub enum SimError {
-    /// The file with the way is unreadable or no KITTI pose file.
-    #[error("reading the way from {path}: {reason}; expected KITTI poses, 12 numbers a line")]
-    Path {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// No frame is left of the drive.
-    #[error(
-        "simulating: --start {start} --frames {} of a drive of {n_frames} frames leaves none; start below {n_frames} and \
-         ask for at least one frame, or drive longer with --length",
-        .frames.map_or("all".to_owned(), |n| n.to_string())
-    )]
-    Range {
-        /// Frames to leave out.
-        start: u64,
-        /// Frames to deliver at most.
-        frames: Option<u64>,
-        /// Frames of the drive.
-        n_frames: u64,
-    },
-    /// Frames cannot be spoilt as asked.
-    #[error(transparent)]
-    Degrade(#[from] SourceError),
-    /// The truth could not be written.
-    #[error("writing the simulator's truth to {path}: {reason}")]
-    Truth {
-        /// The file.
-        path: PathBuf,
-        /// What went wrong.
-        reason: String,
-    },
-}
 
 /// Focal length over image width: KITTI's view of about 81 degrees.
 const FOCAL_PER_WIDTH: f64 = 0.58;
@@ -173,7 +59,7 @@ impl Simulator {
     pub fn new(args: &SimArgs) -> Result<Self, SimError> {
         let drive = match &args.path {
             Some(file) => Drive::from_poses(file)?,
-            None => Drive::generate(args.seed, args.length, args.fps),
+            None => Drive::generate(args.drive, args.seed, args.length, args.fps),
         };
         let (first, n_frames) = part_of(drive.n_frames() as u64, args)?;
         let town = Town::build(&drive, args.seed);
@@ -206,7 +92,7 @@ impl Simulator {
 
     /// Where the camera is at a frame, counted from the first one delivered.
     pub fn camera_at(&self, frame: usize) -> Waypoint {
-        self.drive.at(self.drive.arc_m(self.first + frame))
+        self.drive.at_frame(self.first + frame)
     }
 
     /// Number of frames delivered in all.
@@ -228,8 +114,11 @@ impl Simulator {
     fn render(&mut self, frame: usize) {
         let arc_m = self.drive.arc_m(frame);
         let time_s = frame as f64 / self.args.fps;
-        moving_cars(&self.drive, arc_m, time_s, self.args.seed as u32, &mut self.moving);
-        let frame_camera = Frame::new(self.camera, CAMERA_HEIGHT_M, self.drive.at(arc_m), VIEW_DISTANCE_M);
+        self.moving.clear();
+        if self.args.drive.has_traffic() {
+            moving_cars(&self.drive, arc_m, time_s, self.args.seed as u32, &mut self.moving);
+        }
+        let frame_camera = Frame::new(self.camera, CAMERA_HEIGHT_M, self.drive.at_frame(frame), VIEW_DISTANCE_M);
         self.candidates.collect(self.town.solids().iter().chain(&self.moving), &frame_camera);
         let scene = Scene { town: &self.town, frame: frame_camera, candidates: &self.candidates };
         scene.render(&mut self.rgb, &mut self.depth_m, &mut self.identity);

@@ -1,6 +1,7 @@
 //! The way the vehicle drives: a curve on the ground plane, generated or taken from a pose file.
 
 use super::SimError;
+use super::drive_kind::{BareStretch, DriveKind, Stop};
 use kilogs_core::math::Rng;
 use std::path::Path;
 
@@ -33,6 +34,9 @@ impl Waypoint {
 pub struct Drive {
     waypoints: Vec<Waypoint>,
     frame_arc_m: Vec<f64>,
+    /// How far the camera is turned to the right of the way at each frame; empty where it never is.
+    frame_turn_rad: Vec<f64>,
+    bare_stretch: Option<BareStretch>,
 }
 
 /// Distance between waypoints, m.
@@ -47,8 +51,8 @@ const SPEED_M_PER_S: (f64, f64) = (9.0, 5.0);
 const ACCELERATION_M_PER_S2: f64 = 1.5;
 
 impl Drive {
-    /// A town drive of `length_m` with 90-degree corners, its look given by `seed`.
-    pub fn generate(seed: u64, length_m: f64, fps: f64) -> Self {
+    /// A drive of `length_m`, its look given by `seed`. Corners turn by 90 degrees.
+    pub fn generate(kind: DriveKind, seed: u64, length_m: f64, fps: f64) -> Self {
         let mut rng = Rng::new(seed, 0, u64::from(b'p'));
         let mut between = |(low, high): (f64, f64)| low + (high - low) * rng.unit_f64();
         let mut at = Waypoint { x: 0.0, z: 0.0, heading_rad: 0.0 };
@@ -56,6 +60,9 @@ impl Drive {
         let mut turn_sign = 1.0;
         // The town goes on behind the end, so that the last frame does not look into nothing.
         let built_m = length_m + super::VIEW_DISTANCE_M;
+        if !kind.has_corners() {
+            advance(&mut at, &mut waypoints, built_m, 0.0);
+        }
         while waypoints.len() as f64 * SPACING_M < built_m {
             let straight_m = between(STRAIGHT_M);
             advance(&mut at, &mut waypoints, straight_m, 0.0);
@@ -65,8 +72,8 @@ impl Drive {
             // Alternating turns keep a generated town from running into itself.
             turn_sign = -turn_sign;
         }
-        let frame_arc_m = speed_profile(&waypoints, length_m, fps);
-        Self { waypoints, frame_arc_m }
+        let (frame_arc_m, frame_turn_rad) = motion(&waypoints, length_m, fps, &kind.stops(length_m));
+        Self { waypoints, frame_arc_m, frame_turn_rad, bare_stretch: kind.bare_stretch(length_m) }
     }
 
     /// A drive along KITTI poses (one per frame), laid flat on the ground plane: height, pitch and roll are dropped.
@@ -95,7 +102,8 @@ impl Drive {
                 Some(*arc_m)
             }))
             .collect();
-        Ok(Self { waypoints: resample(&positions, &frame_arc_m), frame_arc_m })
+        let waypoints = resample(&positions, &frame_arc_m);
+        Ok(Self { waypoints, frame_arc_m, frame_turn_rad: Vec::new(), bare_stretch: None })
     }
 
     /// Number of frames.
@@ -120,6 +128,17 @@ impl Drive {
         Waypoint { x: a.x + (b.x - a.x) * t, z: a.z + (b.z - a.z) * t, heading_rad: a.heading_rad + turn * t_heading }
     }
 
+    /// Where the camera is at a frame, and where it looks.
+    pub fn at_frame(&self, frame: usize) -> Waypoint {
+        let at = self.at(self.arc_m(frame));
+        Waypoint { heading_rad: at.heading_rad + self.frame_turn_rad.get(frame).copied().unwrap_or(0.0), ..at }
+    }
+
+    /// The part of the way where one plane alone can be seen. It is straight.
+    pub fn bare_stretch(&self) -> Option<BareStretch> {
+        self.bare_stretch
+    }
+
     /// The whole way, every `SPACING_M`.
     pub fn waypoints(&self) -> &[Waypoint] {
         &self.waypoints
@@ -141,8 +160,46 @@ fn advance(at: &mut Waypoint, waypoints: &mut Vec<Waypoint>, length_m: f64, curv
     }
 }
 
-/// Arc length at every frame: corners slowly, straights faster, with bounded acceleration, from standstill speed up.
-fn speed_profile(waypoints: &[Waypoint], length_m: f64, fps: f64) -> Vec<f64> {
+/// Arc length and turn on the spot at every frame: corners slowly, straights faster, with bounded acceleration. The
+/// vehicle is under way at the beginning unless it stands there.
+fn motion(waypoints: &[Waypoint], length_m: f64, fps: f64, stops: &[Stop]) -> (Vec<f64>, Vec<f64>) {
+    let limit = speed_limits(waypoints);
+    let (mut arcs, mut turns) = (vec![0.0], vec![0.0]);
+    let (mut arc_m, mut started_at_m) = (0.0, None);
+    let mut stops = stops.iter().peekable();
+    while arc_m < length_m {
+        let here = ((arc_m / SPACING_M) as usize).min(limit.len() - 1);
+        let slowest = ACCELERATION_M_PER_S2 / fps;
+        let after = |driven_m: f64| (2.0 * ACCELERATION_M_PER_S2 * driven_m.max(0.0)).sqrt().max(slowest);
+        let mut speed = started_at_m.map_or(limit[here], |from_m| limit[here].min(after(arc_m - from_m)));
+        if let Some(stop) = stops.peek() {
+            let left_m: f64 = stop.at_m - arc_m;
+            speed = speed.min(after(left_m));
+            if left_m <= speed / fps {
+                stand(stop, fps, &mut arcs, &mut turns);
+                (arc_m, started_at_m) = (stop.at_m, Some(stop.at_m));
+                stops.next();
+                continue;
+            }
+        }
+        arc_m += speed / fps;
+        arcs.push(arc_m);
+        turns.push(0.0);
+    }
+    (arcs, turns)
+}
+
+/// Appends the frames of a stop; a turn begins and ends softly.
+fn stand(stop: &Stop, fps: f64, arcs: &mut Vec<f64>, turns: &mut Vec<f64>) {
+    let n_frames = (stop.duration_s * fps).round().max(1.0) as usize;
+    for frame in 0..=n_frames {
+        arcs.push(stop.at_m);
+        turns.push(stop.turn_rad * (std::f64::consts::PI * frame as f64 / n_frames as f64).sin().powi(2));
+    }
+}
+
+/// Speed between waypoints that corners and comfortable pedals allow, m/s.
+fn speed_limits(waypoints: &[Waypoint]) -> Vec<f64> {
     let mut speed: Vec<f64> = waypoints
         .windows(2)
         .map(|w| if wrap(w[1].heading_rad - w[0].heading_rad).abs() > 1e-6 { SPEED_M_PER_S.1 } else { SPEED_M_PER_S.0 })
@@ -154,14 +211,7 @@ fn speed_profile(waypoints: &[Waypoint], length_m: f64, fps: f64) -> Vec<f64> {
     for i in 1..speed.len() {
         speed[i] = speed[i].min(reachable(speed[i - 1]));
     }
-    let mut arcs = vec![0.0];
-    let mut arc_m = 0.0;
-    while arc_m < length_m {
-        let here = ((arc_m / SPACING_M) as usize).min(speed.len() - 1);
-        arc_m += speed[here] / fps;
-        arcs.push(arc_m);
-    }
-    arcs
+    speed
 }
 
 /// Waypoints every [`SPACING_M`] along a polyline whose vertices are at `arc_m`; headings from central differences.
@@ -205,7 +255,7 @@ mod tests {
 
     #[test]
     fn a_generated_drive_has_the_asked_length_and_corners() {
-        let drive = Drive::generate(1, 300.0, 10.0);
+        let drive = Drive::generate(DriveKind::Street, 1, 300.0, 10.0);
         let driven_m = drive.arc_m(drive.n_frames() - 1);
         assert!((300.0..302.0).contains(&driven_m), "{driven_m}");
         let turned: f64 = drive.waypoints().windows(2).map(|w| wrap(w[1].heading_rad - w[0].heading_rad).abs()).sum();
@@ -227,5 +277,25 @@ mod tests {
         assert!((here.z - 14.0).abs() < 1e-9 && here.x.abs() < 1e-9 && here.heading_rad.abs() < 1e-9, "{here:?}");
         std::fs::write(&file, "1 0 0 0 0 1 0 0 0 0 1 NaN\n").expect("writing poses");
         assert!(matches!(Drive::from_poses(&file), Err(SimError::Path { .. })));
+    }
+
+    #[test]
+    fn a_drive_stands_and_turns_where_its_kind_says() {
+        // Frames that stand, and those among them that turn.
+        let check = |kind: DriveKind, standing: usize, turning: usize| {
+            let drive = Drive::generate(kind, 1, 120.0, 10.0);
+            let frames = || (1..drive.n_frames()).map(|i| (drive.at_frame(i - 1), drive.at_frame(i)));
+            let stands = |(a, b): &(Waypoint, Waypoint)| (a.x, a.z) == (b.x, b.z);
+            let turns = |(a, b): &(Waypoint, Waypoint)| (a.heading_rad - b.heading_rad).abs() > 1e-6;
+            let found = (frames().filter(stands).count(), frames().filter(stands).filter(turns).count());
+            assert_eq!(found, (standing, turning), "{kind:?}");
+            let step_m = frames().map(|(a, b)| (a.x - b.x).hypot(a.z - b.z)).fold(0.0, f64::max);
+            assert!((0.8..0.92).contains(&step_m), "{kind:?}: {step_m} m in a frame");
+            assert!(drive.arc_m(drive.n_frames() - 1) >= 120.0, "{kind:?} arrives");
+        };
+        check(DriveKind::Street, 0, 0);
+        check(DriveKind::PureRotation, 60, 60);
+        check(DriveKind::StandingThenGo, 61, 0);
+        check(DriveKind::PlanarRoad, 0, 0);
     }
 }

@@ -12,6 +12,8 @@ pub const VIEW_DISTANCE_M: f64 = 180.0;
 pub const SKY_DEPTH_M: f32 = f32::INFINITY;
 /// Direction towards the sun, world axes (y down), unit.
 const SUN: [f32; 3] = [0.48, -0.8, -0.36];
+/// Color of ground without texture.
+const BARE_GROUND: [f32; 3] = [0.34, 0.34, 0.35];
 /// Color of the sky where it meets the ground, and of the haze.
 const HORIZON: [f32; 3] = [0.86, 0.89, 0.93];
 /// Color of the sky above, minus that of the horizon.
@@ -84,7 +86,7 @@ impl Scene<'_> {
                 // A pixel of road is long and narrow; the mean of its sides keeps detail without flicker.
                 (self.ground(point[0], point[2], footprint(ground_m, slant.sqrt())), ground_m, 1)
             }
-            None => (sky(&ray.direction), SKY_DEPTH_M, 0),
+            None => (sky(&ray.direction, !self.town.has_bare_stretch()), SKY_DEPTH_M, 0),
         };
         let haze = if depth_m.is_finite() { (depth_m / VIEW_DISTANCE_M as f32).powi(2).min(1.0) } else { 0.0 };
         Sample { color: [0, 1, 2].map(|c| color[c] + haze * (HORIZON[c] - color[c])), depth_m, identity }
@@ -92,6 +94,9 @@ impl Scene<'_> {
 
     /// Asphalt with markings, pavement, grass.
     fn ground(&self, x: f32, z: f32, footprint_m: f32) -> [f32; 3] {
+        if self.town.is_bare_ground(z) {
+            return BARE_GROUND;
+        }
         let texture = detail(x, z, 7, footprint_m);
         let grass = [0.26 + 0.10 * texture, 0.36 + 0.13 * texture, 0.17 + 0.07 * texture];
         let Some(position) = self.town.road_position(x, z) else { return grass };
@@ -114,9 +119,8 @@ impl Scene<'_> {
     }
 }
 
-/// Cars that drive: one ahead of us, and oncoming ones in the other lane.
+/// Adds cars that drive: one ahead of us, and oncoming ones in the other lane.
 pub fn moving_cars(drive: &Drive, arc_m: f64, time_s: f64, seed: u32, out: &mut Vec<Solid>) {
-    out.clear();
     let mut push = |along_m: f64, lateral_m: f64, oncoming: bool, number: i32| {
         let at = drive.at(along_m);
         let variety = hash_unit(number, 3, seed);
@@ -184,10 +188,11 @@ fn facade(solid: &Solid, along: f32, up: f32, texture: f32, footprint_m: f32) ->
 }
 
 /// Blue above, white at the horizon, soft clouds.
-fn sky(direction: &[f32; 3]) -> [f32; 3] {
+fn sky(direction: &[f32; 3], has_clouds: bool) -> [f32; 3] {
     let up = (-direction[1] / norm(direction)).clamp(0.0, 1.0);
     let (over_x, over_z) = (direction[0] / (up + 0.08), direction[2] / (up + 0.08));
-    let cloud = 0.10 * detail(0.5 * over_x, 0.5 * over_z, 77, 0.05 / (up + 0.05));
+    let contrast = if has_clouds { 0.10 } else { 0.0 };
+    let cloud = contrast * detail(0.5 * over_x, 0.5 * over_z, 77, 0.05 / (up + 0.05));
     let fade = up.sqrt();
     [0, 1, 2].map(|c| HORIZON[c] + ZENITH_STEP[c] * fade + cloud)
 }

@@ -1,5 +1,6 @@
 //! Houses, parked cars and trees along the way.
 
+use super::drive_kind::BareStretch;
 use super::path::{Drive, SPACING_M, Waypoint};
 use super::road_map::RoadMap;
 use super::shapes::{Ball, Hit, Ray, UprightBox};
@@ -63,12 +64,17 @@ const CLEARANCE_M: f32 = 1.6;
 /// Highest house, m, over the ground.
 const MAX_HEIGHT_M: f32 = 16.0;
 
+/// The wall of a bare stretch: behind the edge of the road, and over it, m.
+const WALL_DISTANCE_M: f32 = 1.0;
+const WALL_HEIGHT_M: f32 = 9.0;
+
 /// The town: every solid that stands still, and the road.
 #[derive(Debug)]
 pub struct Town {
     solids: Vec<Solid>,
     road: RoadMap,
     waypoints: Vec<Waypoint>,
+    bare_stretch: Option<BareStretch>,
 }
 
 /// Where a point of the ground lies on the road.
@@ -84,14 +90,44 @@ impl Town {
     /// Builds the town along a drive.
     pub fn build(drive: &Drive, seed: u64) -> Self {
         let waypoints = drive.waypoints().to_vec();
-        let mut town = Self { solids: Vec::new(), road: RoadMap::build(&waypoints), waypoints };
+        let (road, bare_stretch) = (RoadMap::build(&waypoints), drive.bare_stretch());
+        let mut town = Self { solids: Vec::new(), road, waypoints, bare_stretch };
         let seed = hash(seed as i32, (seed >> 32) as i32, 1);
         for side in [-1.0, 1.0_f32] {
             town.line_with_houses(side, seed);
             town.line_with_cars(side, seed);
             town.line_with_trees(side, seed);
         }
+        if let Some(stretch) = bare_stretch {
+            town.clear(stretch, seed);
+        }
         town
+    }
+
+    /// Takes away what stands on a bare stretch, and puts its wall there.
+    fn clear(&mut self, stretch: BareStretch, seed: u32) {
+        // The stretch is straight and lies along the z axis.
+        self.solids.retain(|solid| match &solid.shape {
+            Shape::Box(solid) => solid.center[1] + solid.half[1] < stretch.from_m,
+            Shape::Ball(solid) => solid.center[2] + solid.radius < stretch.from_m,
+        });
+        if stretch.has_wall {
+            let half_length_m = 0.5 * (self.waypoints.len() as f32 * SPACING_M as f32 - stretch.from_m);
+            let half = [0.5, half_length_m];
+            let center = [side_edge_m(1.0) + WALL_DISTANCE_M + half[0], stretch.from_m + half_length_m];
+            let wall = UprightBox { center, half, heading: [0.0, 1.0], height: [0.0, WALL_HEIGHT_M] };
+            self.solids.push(Solid { shape: Shape::Box(wall), material: Material::Facade, seed });
+        }
+    }
+
+    /// Whether nothing but one plane is to be seen somewhere; the sky then has no clouds.
+    pub fn has_bare_stretch(&self) -> bool {
+        self.bare_stretch.is_some()
+    }
+
+    /// Whether the ground has no texture here, `z` metres from the start.
+    pub fn is_bare_ground(&self, z: f32) -> bool {
+        self.bare_stretch.is_some_and(|stretch| stretch.has_wall && z > stretch.from_m)
     }
 
     /// Every solid that stands still.
@@ -225,11 +261,12 @@ pub fn car(at: Waypoint, center: (f64, f64), facing_us: bool, variety: f32) -> [
 
 #[cfg(test)]
 mod tests {
+    use super::super::drive_kind::DriveKind;
     use super::*;
 
     #[test]
     fn nothing_stands_in_the_way() {
-        let drive = Drive::generate(3, 400.0, 10.0);
+        let drive = Drive::generate(DriveKind::Street, 3, 400.0, 10.0);
         let town = Town::build(&drive, 3);
         assert!(town.solids.len() > 100, "{} solids", town.solids.len());
         for (solid, at) in town.solids.iter().flat_map(|s| drive.waypoints().iter().map(move |w| (s, w))) {
@@ -244,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_point_beside_the_way_knows_where_it_is() {
-        let drive = Drive::generate(3, 200.0, 10.0);
+        let drive = Drive::generate(DriveKind::Street, 3, 200.0, 10.0);
         let town = Town::build(&drive, 3);
         for along in [5.0, 40.0, 90.0, 130.0] {
             let (x, z) = drive.at(along).beside(2.0);
