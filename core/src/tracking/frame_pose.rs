@@ -134,17 +134,23 @@ impl Tracker<'_> {
         }
         let is_still = f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still();
         if has_tracks && is_still {
-            return self.standing();
+            if let (standing, true) = self.verified(self.standing(), moment.timestamp_ns) {
+                return standing;
+            }
         }
-        let mut refused = None;
+        let (mut weak, mut refused): (Option<FramePose>, _) = (None, None);
         for source in [MatchSource::Tracks, MatchSource::Sparse, MatchSource::Dense] {
             if source != MatchSource::Tracks && !self.rematch(source, aids, tracks) {
                 continue;
             }
             match self.solve(moment, source) {
-                Ok(pose) => return pose,
+                Ok(pose) if pose.n_inliers >= self.settings.enough_inliers => return pose,
+                Ok(pose) => weak = weak.filter(|w| w.n_inliers >= pose.n_inliers).or(Some(pose)),
                 Err(figures) => refused = refused.or(figures),
             }
+        }
+        if let Some(pose) = weak {
+            return pose;
         }
         let reason = if has_tracks { StatusReason::TooFewInliers } else { StatusReason::TooFewMatches };
         let figures = refused.unwrap_or(FramePose { reason, ..FramePose::predicted(&moment.predicted) });

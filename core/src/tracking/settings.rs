@@ -58,6 +58,9 @@ pub struct TrackingSettings {
     pub pnp_inlier_sigmas: f64,
     /// Fewest agreeing matches that make a pose. Range 6..200.
     pub min_inliers: usize,
+    /// Agreeing matches with which a pose needs no second opinion by a matcher, where there is one. Range 6..1000; ours:
+    /// among fewer, a consensus of outliers passed for a pose in darkness and after gaps.
+    pub enough_inliers: usize,
     /// Share of matches that must agree. Range 0..1.
     pub min_inlier_ratio: f64,
     /// Share of inliers that must lie in front of both cameras. Range 0..1; peers use 0.1.
@@ -103,6 +106,7 @@ impl TrackingSettings {
         confidence: 0.999,
         pnp_inlier_sigmas: 3.0,
         min_inliers: 15,
+        enough_inliers: 40,
         min_inlier_ratio: 0.3,
         min_in_front_ratio: 0.1,
         standing_flow_px: 0.4,

@@ -103,6 +103,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.confidence", Range::closed_open(0.9, 1.0), tracking.tracker.confidence),
     number!("tracking.pnp_inlier_sigmas", Range::closed(2.0, 10.0), tracking.tracker.pnp_inlier_sigmas),
     whole!("tracking.min_inliers", Range::closed(6.0, 200.0), tracking.tracker.min_inliers),
+    whole!("tracking.enough_inliers", Range::closed(6.0, 1000.0), tracking.tracker.enough_inliers),
     number!("tracking.min_inlier_ratio", Range::closed(0.0, 1.0), tracking.tracker.min_inlier_ratio),
     number!("tracking.min_in_front_ratio", Range::closed(0.0, 1.0), tracking.tracker.min_in_front_ratio),
     number!("tracking.standing_flow_px", Range::closed(0.05, 2.0), tracking.tracker.standing_flow_px),
