@@ -125,7 +125,7 @@ pub fn print_bundle(rounds: usize) {
     let mut adjusted = problems;
     let times = Times::of(0..rounds, |i| {
         let (window, landmarks) = &mut adjusted[i];
-        adjust(window, landmarks, &mut system, &BUNDLE);
+        adjust(window, landmarks, None, &mut system, &BUNDLE);
     });
     let after = median(adjusted.iter().map(|(window, _)| worst(window)).collect());
     println!(

@@ -36,6 +36,11 @@ impl Graph {
         self.n_free
     }
 
+    /// Place of a column among the unknowns, `None` where it is held.
+    pub(super) fn place(&self, column: Column) -> Option<usize> {
+        self.free.get(column).copied().flatten()
+    }
+
     pub(super) fn pose(&self, column: Column) -> Option<Rigid> {
         self.camera_from_world.get(column).copied().flatten()
     }

@@ -5,9 +5,12 @@ mod reduced;
 
 pub use reduced::ReducedSystem;
 
-use crate::keyframe::{KeyframeWindow, Landmark, WINDOW};
+use crate::conventions::Rigid;
+use crate::keyframe::{Column, KeyframeWindow, Landmark, WINDOW};
+use crate::math::se3;
 use crate::pose::Stop;
 use equations::{Graph, finish, linearize, move_depths, restore_depths, total_cost};
+use nalgebra::{Matrix6, Vector6};
 
 /// How the adjustment iterates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,6 +23,34 @@ pub struct BundleSettings {
     pub outlier_sigmas: f64,
     /// Levenberg-Marquardt steps. Range 1..50.
     pub max_iterations: usize,
+}
+
+/// What is known about the newest keyframe's pose beside its sightings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosePrior {
+    /// Where it is expected.
+    pub camera_from_world: Rigid,
+    /// Information of the left increment against that (rad, m).
+    pub information: Matrix6<f64>,
+}
+
+impl PosePrior {
+    fn off(&self, graph: &Graph, column: Column) -> Vector6<f64> {
+        let pose = graph.pose(column).unwrap_or(self.camera_from_world);
+        se3::log(&(pose * self.camera_from_world.inverse()))
+    }
+
+    fn cost(&self, graph: &Graph, column: Column) -> f64 {
+        let off = self.off(graph, column);
+        off.dot(&(self.information * off))
+    }
+
+    fn add_to(&self, graph: &Graph, column: Column, system: &mut ReducedSystem) {
+        if let Some(place) = graph.place(column) {
+            system.add_block(place, place, &self.information);
+            system.add_gradient(place, &(self.information * self.off(graph, column)));
+        }
+    }
 }
 
 /// What the adjustment did.
@@ -52,6 +83,7 @@ const NEGLIGIBLE_GAIN: f64 = 1e-4;
 ///
 /// # Inputs
 /// * `window`, `landmarks`: improved in place; landmarks without depth or marked as outliers are left alone.
+/// * `prior`: of the newest keyframe, where its sightings are few.
 /// * `system`: work space.
 ///
 /// # Output
@@ -65,6 +97,7 @@ const NEGLIGIBLE_GAIN: f64 = 1e-4;
 pub fn adjust(
     window: &mut KeyframeWindow,
     landmarks: &mut [Landmark],
+    prior: Option<&PosePrior>,
     system: &mut ReducedSystem,
     settings: &BundleSettings,
 ) -> BundleReport {
@@ -74,11 +107,18 @@ pub fn adjust(
         return report;
     }
     let mut graph = Graph::new(window, N_FIXED);
+    let prior = prior.zip(window.columns_by_age().last());
+    let cost_of = |graph: &Graph, landmarks: &[Landmark]| {
+        total_cost(graph, landmarks, settings) + prior.map_or(0.0, |(prior, column)| prior.cost(graph, column))
+    };
     let mut damping = FIRST_DAMPING;
-    let mut cost = total_cost(&graph, landmarks, settings);
+    let mut cost = cost_of(&graph, landmarks);
     report.first_cost = cost;
     for _ in 0..settings.max_iterations {
         linearize(&graph, landmarks, settings, damping, system);
+        if let Some((prior, column)) = prior {
+            prior.add_to(&graph, column, system);
+        }
         let Some(step) = system.solve(graph.n_free(), damping) else {
             report.stop = Stop::Stalled;
             break;
@@ -86,7 +126,7 @@ pub fn adjust(
         let mut candidate = graph.clone();
         candidate.apply(&step);
         move_depths(&graph, &step, landmarks, settings, damping);
-        let candidate_cost = total_cost(&candidate, landmarks, settings);
+        let candidate_cost = cost_of(&candidate, landmarks);
         if candidate_cost < cost {
             let gain = (cost - candidate_cost) / cost;
             (graph, cost) = (candidate, candidate_cost);
@@ -118,9 +158,8 @@ pub fn adjust(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conventions::Rigid;
-    use crate::math::{Rng, se3};
-    use nalgebra::{Point3, Vector2, Vector3, Vector6};
+    use crate::math::Rng;
+    use nalgebra::{Point3, Vector2, Vector3};
     use std::{boxed::Box, vec::Vec};
 
     const SETTINGS: BundleSettings =
@@ -162,7 +201,7 @@ mod tests {
     fn check(n_keyframes: usize, noise_z1: f64, at_most: f64) {
         let (mut window, mut landmarks) = scene(n_keyframes, noise_z1);
         let mut system = Box::new(ReducedSystem::new());
-        let report = adjust(&mut window, &mut landmarks, &mut system, &SETTINGS);
+        let report = adjust(&mut window, &mut landmarks, None, &mut system, &SETTINGS);
         let error = worst_pose_error(&window, n_keyframes);
         assert!(error < at_most, "{error} {report:?}");
         assert!(report.last_cost < report.first_cost);
@@ -183,16 +222,35 @@ mod tests {
             landmarks[7].record(i, &(seen + Vector2::new(0.02 * i as f64 * i as f64, 0.01 * i as f64)));
         }
         let mut system = Box::new(ReducedSystem::new());
-        let report = adjust(&mut window, &mut landmarks, &mut system, &SETTINGS);
+        let report = adjust(&mut window, &mut landmarks, None, &mut system, &SETTINGS);
         assert_eq!((report.n_outliers, landmarks[7].is_outlier), (1, true));
         assert!(worst_pose_error(&window, 6) < 0.01);
+    }
+
+    #[test]
+    fn a_prior_holds_a_keyframe_that_sees_little() {
+        let check = |sigma: f64, expected: std::ops::Range<f64>| {
+            let (mut window, mut landmarks) = scene(4, 0.0);
+            // The newest keyframe has one sighting, and it is wrong.
+            for landmark in &mut landmarks {
+                landmark.forget(3, |_| None);
+            }
+            let seen = landmarks[7].seen_by(2).expect("seen") + Vector2::new(0.02, 0.0);
+            landmarks[7].record(3, &seen);
+            let prior = PosePrior { camera_from_world: truth(3), information: Matrix6::identity() / (sigma * sigma) };
+            adjust(&mut window, &mut landmarks, Some(&prior), &mut Box::new(ReducedSystem::new()), &SETTINGS);
+            let off = se3::log(&(window.at(3).expect("filled").camera_from_world * truth(3).inverse())).norm();
+            assert!(expected.contains(&off), "{sigma}: {off}");
+        };
+        check(1e-4, 0.0..1e-3);
+        check(10.0, 5e-3..10.0);
     }
 
     #[test]
     fn two_keyframes_are_left_alone() {
         let (mut window, mut landmarks) = scene(2, 0.0);
         let before = window.at(1).copied();
-        let report = adjust(&mut window, &mut landmarks, &mut Box::new(ReducedSystem::new()), &SETTINGS);
+        let report = adjust(&mut window, &mut landmarks, None, &mut Box::new(ReducedSystem::new()), &SETTINGS);
         assert_eq!((report.stop, window.at(1).copied()), (Stop::Stalled, before));
     }
 

@@ -20,7 +20,7 @@ const STANDING_DEPTH_M: f64 = 10.0;
 /// neighbours go together, while the claim takes all for independent. Measured on two simulated towns; on others, at
 /// other speeds and on another kind of way, the normalised error is 0.7 to 1.5 times that of the chi-square distribution
 /// (tests/tests/odometry_covariance.rs, with the figures).
-const CLAIM_FACTOR: f64 = 3.0;
+pub(super) const CLAIM_FACTOR: f64 = 3.0;
 /// How far the speed of the last believed step may be off, m/s and rad/s; ours, from single steps on KITTI.
 const SPEED_SIGMAS: [f64; 2] = [0.5, 0.03];
 /// How a driver may accelerate and steer while nobody looks, m/s^2 and rad/s^2: half of hard braking and steering.
@@ -106,16 +106,25 @@ impl Drift {
     fn blind(mut self, passed_s: f64, covered_s: f64, speed_m_per_s: f64, turn_rad_per_s: f64) -> Self {
         let passed_s = passed_s.clamp(0.0, MAX_BLIND_S);
         let missed_s = (passed_s - covered_s).max(0.0);
-        let grown = |speed_sigma: f64, driver_sigma: f64, missed: f64| {
-            let driven = 0.5 * driver_sigma * passed_s * passed_s;
-            let coasted = speed_sigma * passed_s;
-            coasted * coasted + driven * driven + missed * missed
-        };
-        let position = grown(SPEED_SIGMAS[0], DRIVER_SIGMAS[0], speed_m_per_s * missed_s);
-        let rotation = grown(SPEED_SIGMAS[1], DRIVER_SIGMAS[1], turn_rad_per_s * missed_s);
-        self.pose += diagonal(rotation, position);
+        let [position, rotation] = coasted_variances(passed_s);
+        let (missed_m, missed_rad) = (speed_m_per_s * missed_s, turn_rad_per_s * missed_s);
+        self.pose += diagonal(rotation + missed_rad * missed_rad, position + missed_m * missed_m);
         self
     }
+}
+
+/// How far constant velocity may be off after a while, m^2 and rad^2.
+fn coasted_variances(passed_s: f64) -> [f64; 2] {
+    [0, 1].map(|k: usize| {
+        let (coasted, driven) = (SPEED_SIGMAS[k] * passed_s, 0.5 * DRIVER_SIGMAS[k] * passed_s * passed_s);
+        coasted * coasted + driven * driven
+    })
+}
+
+/// Information of the left increment against the prediction by constant velocity (rad, m).
+pub(super) fn coasting_information(passed_s: f64) -> Matrix6<f64> {
+    let [position, rotation] = coasted_variances(passed_s);
+    diagonal(1.0 / rotation, 1.0 / position)
 }
 
 /// Covariance of a left increment from its information, with the weakest of priors.

@@ -1,15 +1,16 @@
 //! The pose of one frame against the last keyframe.
 
-use super::drift::step_covariance;
+use super::drift::{CLAIM_FACTOR, coasting_information, step_covariance};
 use super::matches::z1_of;
 use super::recovery::{Aids, MatchSource};
 use super::settings::PoseModels;
 use super::tracker::{Motion, Tracker, seconds_between};
 use super::{FrameStatus, PoseModel, StatusReason};
+use crate::bundle::PosePrior;
 use crate::camera::Mounting;
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::TrackReport;
-use crate::math::Rng;
+use crate::math::{Rng, se3};
 use crate::pose::{RelativePose, StepLength, estimate_pnp, estimate_relative, fit_step_length, relative_covariance};
 use crate::verify::{MotionVerdict, judge_motion};
 use nalgebra::{Matrix6, Translation3, Vector3};
@@ -49,6 +50,8 @@ pub(super) struct FramePose {
     pub(super) is_standing: bool,
     /// Whether the length of the step was measured or predicted from measured ones.
     pub(super) is_metric: bool,
+    /// What the motion so far says, where the image says little.
+    pub(super) prior: Option<PosePrior>,
     /// Covariance of the left increment against the last keyframe (rad, m); nothing for the length's scale.
     pub(super) step_covariance: Matrix6<f64>,
     pub(super) n_matches: usize,
@@ -72,6 +75,7 @@ impl FramePose {
             is_keyframe: false,
             is_standing: false,
             is_metric: false,
+            prior: None,
             step_covariance: Matrix6::zeros(),
             n_matches: 0,
             n_inliers: 0,
@@ -248,9 +252,21 @@ impl Tracker<'_> {
         }
         let camera_from_world = found.refined.camera_from_reference * keyframe_from_world;
         let n_dynamic = n - n_inliers;
-        let step_covariance = step_covariance(&found.refined.information);
+        let information = found.refined.information;
         let solved = FramePose::solved(&camera_from_world, PoseModel::Pnp, n, n_inliers);
-        Some(FramePose { n_dynamic, step_covariance, ..solved })
+        let solved = FramePose { n_dynamic, step_covariance: step_covariance(&information), ..solved };
+        let is_weak = n_inliers < self.settings.enough_inliers;
+        Some(if is_weak && self.motion.prior.is_some() { self.steadied(solved, &information, moment) } else { solved })
+    }
+
+    /// A pose from few matches, held by what the motion so far says: the mean of both, each by its information.
+    fn steadied(&self, pose: FramePose, information: &Matrix6<f64>, moment: &Moment) -> FramePose {
+        let expected = coasting_information(self.seconds_since_last(moment.timestamp_ns));
+        let prior = PosePrior { camera_from_world: moment.predicted, information: expected };
+        let off = se3::log(&(moment.predicted * pose.camera_from_world.inverse()));
+        let Some(both) = (information / CLAIM_FACTOR + expected).cholesky() else { return pose };
+        let camera_from_world = se3::exp(&both.solve(&(expected * off))) * pose.camera_from_world;
+        FramePose { camera_from_world, prior: Some(prior), ..pose }
     }
 
     /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.

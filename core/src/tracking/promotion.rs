@@ -27,7 +27,7 @@ impl Tracker<'_> {
                 outlier_sigmas: self.settings.outlier_sigmas,
                 max_iterations: self.settings.bundle_iterations,
             };
-            adjust(&mut self.window, self.landmarks, self.bundle, &settings);
+            adjust(&mut self.window, self.landmarks, pose.prior.as_ref(), self.bundle, &settings);
         }
         if self.is_started {
             let scale = self.correct_scale(earlier_slot);
