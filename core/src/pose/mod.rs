@@ -5,6 +5,8 @@
 
 mod essential;
 mod five_point;
+mod hypothesis;
+mod local;
 mod p3p;
 mod pnp;
 mod polynomial;

@@ -78,11 +78,10 @@ fn cauchy(residual2: f64, width2: f64) -> (f64, f64) {
     (width2 * libm::log1p(ratio), 1.0 / (1.0 + ratio))
 }
 
-fn robust_cost(at: &RelativePose, matches: &[Match], width2: f64, cutoff2: f64) -> f64 {
+fn robust_cost<'m>(at: &RelativePose, matches: impl Iterator<Item = &'m Match>, width2: f64, cutoff2: f64) -> f64 {
     let e = essential_of(at);
     let ceiling = cauchy(cutoff2, width2).0;
     matches
-        .iter()
         .map(|m| {
             let r = super::sampson_distance(&e, m);
             if r * r < cutoff2 { cauchy(r * r, width2).0 } else { ceiling }
@@ -115,14 +114,25 @@ pub fn refine_relative(
     cutoff_z1: f64,
     max_iterations: usize,
 ) -> RelativeRefinement {
+    refine_over(matches.iter(), start, width_z1, cutoff_z1, max_iterations)
+}
+
+/// [`refine_relative`] over matches that need not lie side by side.
+pub(super) fn refine_over<'m>(
+    matches: impl Iterator<Item = &'m Match> + Clone,
+    start: &RelativePose,
+    width_z1: f64,
+    cutoff_z1: f64,
+    max_iterations: usize,
+) -> RelativeRefinement {
     let (width2, cutoff2) = (width_z1 * width_z1, cutoff_z1 * cutoff_z1);
     let mut best = *start;
-    let mut cost = robust_cost(&best, matches, width2, cutoff2);
+    let mut cost = robust_cost(&best, matches.clone(), width2, cutoff2);
     let mut damping = FIRST_DAMPING;
     let mut stop = Stop::StepLimit;
     'outer: for _ in 0..max_iterations {
         let tangents = tangent_plane(&best.direction);
-        let (hessian, gradient) = normal_equations(&best, &tangents, matches, width2, cutoff2);
+        let (hessian, gradient) = normal_equations(&best, &tangents, matches.clone(), width2, cutoff2);
         loop {
             let mut damped = hessian;
             for k in 0..5 {
@@ -133,7 +143,7 @@ pub fn refine_relative(
                 break 'outer;
             };
             let candidate = moved(&best, &tangents, &step);
-            let candidate_cost = robust_cost(&candidate, matches, width2, cutoff2);
+            let candidate_cost = robust_cost(&candidate, matches.clone(), width2, cutoff2);
             if candidate_cost <= cost {
                 (best, cost) = (candidate, candidate_cost);
                 damping = (damping / DAMPING_FACTOR).max(f64::EPSILON);
@@ -181,7 +191,7 @@ pub fn relative_covariance(
     sigma_m: f64,
 ) -> Option<Matrix6<f64>> {
     let tangents = tangent_plane(&at.direction);
-    let (information, _) = normal_equations(at, &tangents, matches, noise_z1 * noise_z1, cutoff_z1 * cutoff_z1);
+    let (information, _) = normal_equations(at, &tangents, matches.iter(), noise_z1 * noise_z1, cutoff_z1 * cutoff_z1);
     let covariance = information.cholesky()?.inverse() * (noise_z1 * noise_z1);
     let mut by_increments = Matrix6x5::zeros();
     by_increments.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
@@ -195,10 +205,10 @@ pub fn relative_covariance(
     found.iter().all(|v| v.is_finite()).then_some(found)
 }
 
-fn normal_equations(
+fn normal_equations<'m>(
     at: &RelativePose,
     tangents: &[Vector3<f64>; 2],
-    matches: &[Match],
+    matches: impl Iterator<Item = &'m Match>,
     width2: f64,
     cutoff2: f64,
 ) -> (Matrix5<f64>, Vector5<f64>) {
