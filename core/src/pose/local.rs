@@ -1,8 +1,7 @@
-//! Local optimisation of a motion over the matches that support it.
+//! Local optimisation of a model over the matches that support it.
 
-use super::hypothesis::{Hypothesis, Scored};
-use super::refine_relative::refine_over;
-use super::{Match, RelativeSettings, refine_relative};
+use super::model::{Model, Scored};
+use super::{Match, RelativeSettings};
 use crate::math::Rng;
 
 /// Matches of an inner sample: enough to average their noise, few enough to be quick and to differ from the next.
@@ -10,7 +9,7 @@ const INNER_SIZE: usize = 60;
 /// Kernel and cutoff over an inner sample, in inlier distances.
 const INNER_WIDTH: f64 = 1.0;
 const INNER_CUTOFF: f64 = 5.0;
-/// Distance up to which a match supports a motion, in inlier distances. Where the inlier distance is two standard
+/// Distance up to which a match supports a model, in inlier distances. Where the inlier distance is two standard
 /// deviations, this is where Gaussian noise meets outliers that are uniform over an image.
 const SUPPORT: f64 = 1.5;
 /// Kernel over all of the support, in inlier distances: nearly least squares.
@@ -19,12 +18,17 @@ const FULL_ITERATIONS: usize = 6;
 /// Times that the support is chosen anew.
 const FULL_ROUNDS: usize = 2;
 
-/// Marks the support of a motion and counts it.
-fn mark_support(hypothesis: &Hypothesis, matches: &[Match], inlier_z1: f64, is_support: &mut [bool]) -> usize {
+/// Marks the support of a model and counts it.
+fn mark_support<M: Model<N>, const N: usize>(
+    model: &M,
+    matches: &[Match],
+    inlier_z1: f64,
+    is_support: &mut [bool],
+) -> usize {
     let limit2 = SUPPORT * SUPPORT * inlier_z1 * inlier_z1;
     let mut n_support = 0;
     for (m, flag) in matches.iter().zip(is_support.iter_mut()) {
-        *flag = hypothesis.squared_distance(m, limit2) < limit2;
+        *flag = model.squared_distance(m, limit2) < limit2;
         n_support += usize::from(*flag);
     }
     n_support
@@ -51,7 +55,7 @@ fn draw<'m>(from: impl Iterator<Item = &'m Match>, n: usize, rng: &mut Rng, draw
     n_drawn
 }
 
-/// The cheapest among a motion and those that fit random parts of its support.
+/// The cheapest among a model and those that fit random parts of its support.
 ///
 /// A refinement over all of the support stays where it starts: outliers within reach make a minimum of their own
 /// beside the best one, the more so in forward motion, where the epipole lies in the image. Random parts of the
@@ -59,27 +63,27 @@ fn draw<'m>(from: impl Iterator<Item = &'m Match>, n: usize, rng: &mut Rng, draw
 ///
 /// # Source
 /// Chum, Matas & Kittler 2003, "Locally optimized RANSAC", sec. 3 (inner RANSAC). Own implementation.
-pub(super) fn improve(
-    start: Scored,
+pub(super) fn improve<M: Model<N>, const N: usize>(
+    start: Scored<M>,
     n_samples: usize,
     matches: &[Match],
     settings: &RelativeSettings,
     rng: &mut Rng,
     is_support: &mut [bool],
-) -> Scored {
+) -> Scored<M> {
     let inlier_z1 = settings.inlier_z1;
     let mut best = start;
     let mut drawn = [Match::default(); INNER_SIZE];
-    let mut n_support = mark_support(&best.hypothesis, matches, inlier_z1, is_support);
+    let mut n_support = mark_support(&best.model, matches, inlier_z1, is_support);
     for _ in 0..n_samples {
         let n_drawn = draw(supporting(matches, is_support), n_support, rng, &mut drawn);
         let sample = drawn.get(..n_drawn).unwrap_or_default();
         let (width_z1, cutoff_z1) = (INNER_WIDTH * inlier_z1, INNER_CUTOFF * inlier_z1);
-        let fit = refine_relative(sample, &best.hypothesis.pose, width_z1, cutoff_z1, settings.local_iterations);
-        let candidate = Scored::of(Hypothesis::of(&fit.second_from_first), matches, inlier_z1 * inlier_z1);
+        let fit = best.model.refined(sample.iter(), width_z1, cutoff_z1, settings.local_iterations);
+        let candidate = Scored::of(fit, matches, inlier_z1 * inlier_z1);
         if candidate.cost < best.cost {
             best = candidate;
-            n_support = mark_support(&best.hypothesis, matches, inlier_z1, is_support);
+            n_support = mark_support(&best.model, matches, inlier_z1, is_support);
         }
     }
     best
@@ -89,19 +93,17 @@ pub(super) fn improve(
 ///
 /// # Source
 /// Hartley & Zisserman 2004, algorithm 4.4, step (v). Own implementation.
-pub(super) fn refine_fully(
-    start: &Hypothesis,
+pub(super) fn refine_fully<M: Model<N>, const N: usize>(
+    start: &M,
     matches: &[Match],
     inlier_z1: f64,
     is_support: &mut [bool],
-) -> Hypothesis {
+) -> M {
     let mut found = *start;
     for _ in 0..FULL_ROUNDS {
         mark_support(&found, matches, inlier_z1, is_support);
         let support = supporting(matches, is_support);
-        let (width_z1, cutoff_z1) = (FULL_WIDTH * inlier_z1, SUPPORT * inlier_z1);
-        let fit = refine_over(support, &found.pose, width_z1, cutoff_z1, FULL_ITERATIONS);
-        found = Hypothesis::of(&fit.second_from_first);
+        found = found.refined(support, FULL_WIDTH * inlier_z1, SUPPORT * inlier_z1, FULL_ITERATIONS);
     }
     found
 }

@@ -3,10 +3,12 @@
 //! [`estimate_relative`] needs nothing but matches and leaves the length of the step open; [`estimate_pnp`]
 //! needs landmarks and returns metres. Both are robust, seeded and free of the heap.
 
+mod damped;
 mod essential;
 mod five_point;
 mod hypothesis;
 mod local;
+mod model;
 mod p3p;
 mod pnp;
 mod polynomial;

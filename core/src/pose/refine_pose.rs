@@ -1,6 +1,7 @@
 //! Improves a camera pose over landmarks with known inverse depth.
 
 use super::Stop;
+use super::damped::Descent;
 use crate::conventions::Rigid;
 use crate::math::se3;
 use nalgebra::{Matrix2x6, Matrix6, Vector2, Vector3, Vector6};
@@ -36,9 +37,6 @@ pub struct PoseRefinement {
 /// Width of the Cauchy kernel in standard deviations (95 % efficiency on Gaussian noise, Rey 1983).
 const KERNEL_SIGMAS: f64 = 2.3849;
 const FIRST_DAMPING: f64 = 1e-4;
-const DAMPING_FACTOR: f64 = 10.0;
-const MAX_DAMPING: f64 = 1e8;
-const NEGLIGIBLE_STEP: f64 = 1e-8;
 
 impl LandmarkMatch {
     /// The landmark in the camera, scaled by the inverse depth; `None` behind it.
@@ -118,48 +116,49 @@ pub fn refine_pose(
     max_iterations: usize,
 ) -> PoseRefinement {
     let cutoff2 = cutoff_sigmas * cutoff_sigmas;
-    let total_cost = |pose: &Rigid| {
-        let off = se3::log(&(pose * predicted_camera_from_reference.inverse()));
-        robust_cost(pose, matches, noise_z1, cutoff2) + off.dot(&(prior_information * off))
+    let problem = PoseProblem {
+        matches,
+        reference_from_predicted: predicted_camera_from_reference.inverse(),
+        noise_z1,
+        cutoff2,
+        prior_information,
     };
-    let mut best = *predicted_camera_from_reference;
-    let mut cost = total_cost(&best);
-    let mut damping = FIRST_DAMPING;
-    let mut stop = Stop::StepLimit;
-    'outer: for _ in 0..max_iterations {
-        let off = se3::log(&(best * predicted_camera_from_reference.inverse()));
-        let (mut hessian, mut gradient, _) = normal_equations(&best, matches, noise_z1, cutoff2);
-        hessian += prior_information;
-        gradient += prior_information * off;
-        loop {
-            let mut damped = hessian;
-            for k in 0..6 {
-                damped[(k, k)] += damping * hessian[(k, k)];
-            }
-            let Some(step) = damped.cholesky().map(|c| -c.solve(&gradient)) else {
-                stop = Stop::Stalled;
-                break 'outer;
-            };
-            let candidate = se3::exp(&step) * best;
-            let candidate_cost = total_cost(&candidate);
-            if candidate_cost <= cost {
-                (best, cost) = (candidate, candidate_cost);
-                damping = (damping / DAMPING_FACTOR).max(f64::EPSILON);
-                if step.norm() < NEGLIGIBLE_STEP {
-                    stop = Stop::Converged;
-                    break 'outer;
-                }
-                break;
-            }
-            damping *= DAMPING_FACTOR;
-            if step.norm() < NEGLIGIBLE_STEP || damping > MAX_DAMPING {
-                stop = if damping > MAX_DAMPING { Stop::Stalled } else { Stop::Converged };
-                break 'outer;
-            }
-        }
-    }
+    let (best, cost, stop) = problem.descend(predicted_camera_from_reference, FIRST_DAMPING, max_iterations);
     let (information, _, n_inliers) = normal_equations(&best, matches, noise_z1, cutoff2);
     PoseRefinement { camera_from_reference: best, information, n_inliers, cost, stop }
+}
+
+struct PoseProblem<'m> {
+    matches: &'m [LandmarkMatch],
+    reference_from_predicted: Rigid,
+    noise_z1: f64,
+    cutoff2: f64,
+    prior_information: &'m Matrix6<f64>,
+}
+
+impl PoseProblem<'_> {
+    /// Increment from the prediction to a pose.
+    fn off(&self, pose: &Rigid) -> Vector6<f64> {
+        se3::log(&(pose * self.reference_from_predicted))
+    }
+}
+
+impl Descent<6> for PoseProblem<'_> {
+    type State = Rigid;
+
+    fn cost(&self, at: &Rigid) -> f64 {
+        let off = self.off(at);
+        robust_cost(at, self.matches, self.noise_z1, self.cutoff2) + off.dot(&(self.prior_information * off))
+    }
+
+    fn normal_equations(&self, at: &Rigid) -> (Matrix6<f64>, Vector6<f64>) {
+        let (hessian, gradient, _) = normal_equations(at, self.matches, self.noise_z1, self.cutoff2);
+        (hessian + self.prior_information, gradient + self.prior_information * self.off(at))
+    }
+
+    fn moved(&self, from: &Rigid, step: &Vector6<f64>) -> Rigid {
+        se3::exp(step) * from
+    }
 }
 
 fn normal_equations(

@@ -1,5 +1,6 @@
 //! Improves rotation and direction of a step over all matches.
 
+use super::damped::Descent;
 use super::{Match, RelativePose, Stop, essential_of};
 use crate::math::se3::skew;
 use nalgebra::{Matrix3, Matrix5, Matrix6, Matrix6x5, Unit, UnitQuaternion, Vector3, Vector5, Vector6};
@@ -16,10 +17,6 @@ pub struct RelativeRefinement {
 }
 
 const FIRST_DAMPING: f64 = 1e-3;
-const DAMPING_FACTOR: f64 = 10.0;
-const MAX_DAMPING: f64 = 1e8;
-/// Steps below this many radians do not change any pixel.
-const NEGLIGIBLE_STEP_RAD: f64 = 1e-8;
 
 /// Increment `[omega, a, b]`: `exp(omega) R`, and the direction turned by `a`, `b` along its tangent plane.
 fn moved(from: &RelativePose, tangents: &[Vector3<f64>; 2], step: &Vector5<f64>) -> RelativePose {
@@ -73,7 +70,7 @@ fn residual(e: &Matrix3<f64>, de: &[Matrix3<f64>; 5], m: &Match) -> Option<(f64,
 }
 
 /// Cauchy's kernel: cost and weight of a squared residual.
-fn cauchy(residual2: f64, width2: f64) -> (f64, f64) {
+pub(super) fn cauchy(residual2: f64, width2: f64) -> (f64, f64) {
     let ratio = residual2 / width2;
     (width2 * libm::log1p(ratio), 1.0 / (1.0 + ratio))
 }
@@ -126,41 +123,31 @@ pub(super) fn refine_over<'m>(
     max_iterations: usize,
 ) -> RelativeRefinement {
     let (width2, cutoff2) = (width_z1 * width_z1, cutoff_z1 * cutoff_z1);
-    let mut best = *start;
-    let mut cost = robust_cost(&best, matches.clone(), width2, cutoff2);
-    let mut damping = FIRST_DAMPING;
-    let mut stop = Stop::StepLimit;
-    'outer: for _ in 0..max_iterations {
-        let tangents = tangent_plane(&best.direction);
-        let (hessian, gradient) = normal_equations(&best, &tangents, matches.clone(), width2, cutoff2);
-        loop {
-            let mut damped = hessian;
-            for k in 0..5 {
-                damped[(k, k)] += damping * hessian[(k, k)];
-            }
-            let Some(step) = damped.cholesky().map(|c| -c.solve(&gradient)) else {
-                stop = Stop::Stalled;
-                break 'outer;
-            };
-            let candidate = moved(&best, &tangents, &step);
-            let candidate_cost = robust_cost(&candidate, matches.clone(), width2, cutoff2);
-            if candidate_cost <= cost {
-                (best, cost) = (candidate, candidate_cost);
-                damping = (damping / DAMPING_FACTOR).max(f64::EPSILON);
-                if step.norm() < NEGLIGIBLE_STEP_RAD {
-                    stop = Stop::Converged;
-                    break 'outer;
-                }
-                break;
-            }
-            damping *= DAMPING_FACTOR;
-            if step.norm() < NEGLIGIBLE_STEP_RAD || damping > MAX_DAMPING {
-                stop = if damping > MAX_DAMPING { Stop::Stalled } else { Stop::Converged };
-                break 'outer;
-            }
-        }
+    let (second_from_first, cost, stop) =
+        RelativeProblem { matches, width2, cutoff2 }.descend(start, FIRST_DAMPING, max_iterations);
+    RelativeRefinement { second_from_first, cost, stop }
+}
+
+struct RelativeProblem<I> {
+    matches: I,
+    width2: f64,
+    cutoff2: f64,
+}
+
+impl<'m, I: Iterator<Item = &'m Match> + Clone> Descent<5> for RelativeProblem<I> {
+    type State = RelativePose;
+
+    fn cost(&self, at: &RelativePose) -> f64 {
+        robust_cost(at, self.matches.clone(), self.width2, self.cutoff2)
     }
-    RelativeRefinement { second_from_first: best, cost, stop }
+
+    fn normal_equations(&self, at: &RelativePose) -> (Matrix5<f64>, Vector5<f64>) {
+        normal_equations(at, &tangent_plane(&at.direction), self.matches.clone(), self.width2, self.cutoff2)
+    }
+
+    fn moved(&self, from: &RelativePose, step: &Vector5<f64>) -> RelativePose {
+        moved(from, &tangent_plane(&from.direction), step)
+    }
 }
 
 /// Covariance of a step whose rotation and direction come from matches and whose length from elsewhere.

@@ -1,13 +1,12 @@
-//! The robust loop around the five-point solver.
+//! The relative pose of two views among outliers.
 
-use super::five_point::{SAMPLE_SIZE, five_point};
-use super::hypothesis::{Hypothesis, Scored, may_beat};
-use super::local::{improve, refine_fully};
+use super::hypothesis::Hypothesis;
+use super::model::search;
 use super::{Match, RelativePose};
 use crate::math::Rng;
 use core::fmt;
 
-/// How hard the robust loop tries.
+/// How hard the robust search between two views tries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelativeSettings {
     /// Sampson distance below which a match agrees, on the plane z = 1 (pixels over focal length). Range (0, 0.01).
@@ -46,15 +45,11 @@ pub struct TooFewMatches {
 
 impl fmt::Display for TooFewMatches {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} matches gave no relative pose, at least {} good ones needed", self.found, self.needed)
+        write!(f, "{} matches gave no motion, at least {} good ones needed", self.found, self.needed)
     }
 }
 
 impl core::error::Error for TooFewMatches {}
-
-/// Inner samples of a hypothesis that beats the best, and of the best in the end.
-const LOCAL_SAMPLES: usize = 4;
-const FINAL_SAMPLES: usize = 6;
 
 /// Samples needed so that with probability `confidence` one of them has inliers only:
 /// `ln(1 - confidence) / ln(1 - w^n)`, `w` the inlier ratio, `n` the sample size.
@@ -101,61 +96,15 @@ pub fn estimate_relative(
     rng: &mut Rng,
     is_inlier: &mut [bool],
 ) -> Result<RelativeEstimate, TooFewMatches> {
-    let inlier2 = settings.inlier_z1 * settings.inlier_z1;
-    let mut best: Option<Scored> = None;
-    if let Some(pose) = predicted {
-        let start = Scored::of(Hypothesis::of(pose), matches, inlier2);
-        compete(&mut best, improve(start, LOCAL_SAMPLES, matches, settings, rng, is_inlier));
-    }
-    let mut n_trials = 0;
-    let mut wanted = settings.trials[1];
-    while n_trials < wanted.clamp(settings.trials[0], settings.trials[1]) {
-        n_trials += 1;
-        let Some(drawn) = rng.draw_distinct::<SAMPLE_SIZE>(matches.len()) else { break };
-        let sample = drawn.map(|i| matches.get(i).copied().unwrap_or_default());
-        for essential in five_point(&sample) {
-            let to_beat = best.as_ref().map_or(f64::INFINITY, |b| b.cost);
-            if !may_beat(to_beat, &essential, matches, inlier2) {
-                continue;
-            }
-            let Some(hypothesis) = Hypothesis::most_in_front(&essential, &sample) else { continue };
-            let start = Scored::of(hypothesis, matches, inlier2);
-            if start.cost < to_beat {
-                compete(&mut best, improve(start, LOCAL_SAMPLES, matches, settings, rng, is_inlier));
-            }
-        }
-        if let Some(b) = &best {
-            let ratio = b.n_inliers as f64 / matches.len() as f64;
-            wanted = trials_needed(ratio, SAMPLE_SIZE as i32, settings.confidence);
-        }
-    }
-    let Some(best) = best else { return Err(TooFewMatches { found: matches.len(), needed: SAMPLE_SIZE }) };
-    let best = improve(best, FINAL_SAMPLES, matches, settings, rng, is_inlier);
-    let motion = refine_fully(&best.hypothesis, matches, settings.inlier_z1, is_inlier);
-    Ok(accepted(&motion, matches, inlier2, n_trials, is_inlier))
-}
-
-fn compete(best: &mut Option<Scored>, candidate: Scored) {
-    if candidate.cost.is_finite() && best.as_ref().is_none_or(|b| candidate.cost < b.cost) {
-        *best = Some(candidate);
-    }
-}
-
-fn accepted(
-    hypothesis: &Hypothesis,
-    matches: &[Match],
-    inlier2: f64,
-    n_trials: usize,
-    is_inlier: &mut [bool],
-) -> RelativeEstimate {
-    let second_from_first = hypothesis.pose;
-    let (mut n_inliers, mut n_in_front) = (0, 0);
-    for (m, flag) in matches.iter().zip(is_inlier.iter_mut()) {
-        *flag = hypothesis.squared_distance(m, inlier2) < inlier2;
-        n_inliers += usize::from(*flag);
-        n_in_front += usize::from(*flag && second_from_first.in_front_of_both(m));
-    }
-    RelativeEstimate { second_from_first, n_inliers, n_in_front, n_trials }
+    let start = predicted.map(Hypothesis::of);
+    let (found, n_trials) = search(matches, start, settings, rng, is_inlier)?;
+    let inliers = || matches.iter().zip(is_inlier.iter()).filter(|&(_, &is)| is);
+    Ok(RelativeEstimate {
+        second_from_first: found.pose,
+        n_inliers: inliers().count(),
+        n_in_front: inliers().filter(|(m, _)| found.pose.in_front_of_both(m)).count(),
+        n_trials,
+    })
 }
 
 #[cfg(test)]
