@@ -1,11 +1,15 @@
 //! Where the second camera stood: from matches alone, or from matches with known depth.
 //!
 //! [`estimate_relative`] needs nothing but matches and leaves the length of the step open; [`estimate_pnp`]
-//! needs landmarks and returns metres. Both are robust, seeded and free of the heap.
+//! needs landmarks and returns metres; [`estimate_homography`] is for what leaves even the direction open, a plane or a
+//! mere turn, and [`gric_essential`] against [`gric_homography`] tells which it is. All are robust, seeded and free of
+//! the heap.
 
 mod damped;
 mod essential;
 mod five_point;
+mod gric;
+mod homography;
 mod hypothesis;
 mod local;
 mod model;
@@ -20,6 +24,11 @@ mod triangulate;
 
 pub use essential::{RelativePose, decompose_essential, essential_of, sampson_distance};
 pub use five_point::five_point;
+pub use gric::{gric_essential, gric_homography};
+pub use homography::{
+    HomographyEstimate, HomographySettings, estimate_homography, four_point, rotation_of_homography,
+    squared_transfer_distance,
+};
 pub use p3p::p3p;
 pub use pnp::{PnpEstimate, PnpSettings, TooFewLandmarks, estimate_pnp};
 pub use polynomial::real_roots;
