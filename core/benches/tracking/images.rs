@@ -1,7 +1,7 @@
 //! Corners, pyramids and tracks on pictures.
 
 use super::clock::{Times, median};
-use super::pictures::{Pair, pyramid, pyramid_storage, true_target_px, view};
+use super::pictures::{Difference, Pair, pyramid, pyramid_storage, view};
 use kilogs_core::features::corners::{Corner, CornerSettings, detect};
 use kilogs_core::features::lk::{Flow, LkSettings, track};
 use kilogs_core::features::{LkVerdict, SimdLevel};
@@ -25,7 +25,7 @@ const SEARCHES: [(&str, LkSettings); 3] = [
 ];
 
 /// Every level of this machine.
-fn simd_levels() -> Vec<(&'static str, SimdLevel)> {
+pub fn simd_levels() -> Vec<(&'static str, SimdLevel)> {
     let mut levels = vec![("scalar", SimdLevel::Scalar)];
     match SimdLevel::new() {
         SimdLevel::Scalar => {}
@@ -45,9 +45,9 @@ fn points(pair: &Pair) -> Vec<[f32; 2]> {
 
 /// The moved picture and the points for the peers; their pixel centres are whole numbers.
 pub fn store(recorded: &Pair, folder: &Path) -> std::io::Result<()> {
-    std::fs::write(folder.join("moved.gray"), &recorded.with_known_flow().second)?;
+    std::fs::write(folder.join("moved.gray"), &recorded.with_difference(&Difference::SMALL).second)?;
     let line = |p: &[f32; 2]| {
-        let [x, y] = true_target_px(*p);
+        let [x, y] = Difference::SMALL.target_px(*p);
         format!("{} {} {} {}\n", p[0] - 0.5, p[1] - 0.5, x - 0.5, y - 0.5)
     };
     std::fs::write(folder.join("points.txt"), points(recorded).iter().map(line).collect::<String>())
@@ -55,7 +55,7 @@ pub fn store(recorded: &Pair, folder: &Path) -> std::io::Result<()> {
 
 /// Times and errors of everything that looks at pixels.
 pub fn print_table(recorded: &Pair, rounds: usize) {
-    let known = recorded.with_known_flow();
+    let known = recorded.with_difference(&Difference::SMALL);
     let mut storage = [pyramid_storage(), pyramid_storage(), pyramid_storage()];
     let [a, b, c] = &mut storage;
     let (first, second, moved) = (pyramid(&recorded.first, a), pyramid(&recorded.second, b), pyramid(&known.second, c));
@@ -104,7 +104,7 @@ fn search(
 
 fn errors(flows: &[Flow]) -> String {
     let of = |flow: &Flow| {
-        let [x, y] = true_target_px(flow.source_px);
+        let [x, y] = Difference::SMALL.target_px(flow.source_px);
         (f64::from(flow.target_px[0]) - x).hypot(f64::from(flow.target_px[1]) - y)
     };
     let found = flows.iter().filter(|flow| matches!(flow.verdict, LkVerdict::Found { .. }));

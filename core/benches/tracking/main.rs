@@ -4,6 +4,7 @@
 mod clock;
 mod geometry;
 mod images;
+mod matching;
 mod pictures;
 mod problems;
 
@@ -17,7 +18,7 @@ struct Options {
     /// Folder shared with peers.py: its two pictures are read, all problems are written. Without it, pictures are made up.
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
-    /// Only tables whose name contains this: images, essential, pnp or bundle.
+    /// Only tables whose name contains this: images, matching, essential, pnp or bundle.
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
     /// Problems per robust estimation.
@@ -45,6 +46,10 @@ fn main() -> std::io::Result<()> {
     let wanted = |name: &str| name.contains(&options.only);
     if wanted("images") {
         images::print_table(&recorded, options.rounds);
+    }
+    if wanted("matching") {
+        matching::print_times(&recorded, options.rounds);
+        matching::print_errors(&recorded);
     }
     if wanted("essential") {
         geometry::print_essential(options.seeds);

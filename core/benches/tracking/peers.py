@@ -65,6 +65,17 @@ def images():
               % (name, ms, results[0][1].sum(), len(errors), (errors < 0.5).sum(), np.median(errors)))
 
 
+def matching():
+    a, b = (np.fromfile("%s/%s.gray" % (FOLDER, name), np.uint8).reshape(376, 1241) for name in ("a", "b"))
+    orb = cv2.ORB_create(2000)
+    print("\n| 1241x376 | ms | found |\n|---|---:|---:|")
+    ms, results = timed(range(ROUNDS), lambda _: orb.detectAndCompute(a, None))
+    print("| ORB 2000, corners and descriptors | %s | %d |" % (ms, len(results[0][0])))
+    first, second = results[0][1], orb.detectAndCompute(b, None)[1]
+    ms, results = timed(range(ROUNDS), lambda _: cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(first, second))
+    print("| BFMatcher %d x %d of 256 bits, mutual | %s | %d |" % (len(first), len(second), ms, len(results[0])))
+
+
 def essential(name, problems, solve):
     ms, results = timed(range(len(problems)), lambda i: solve(problems[i][:, :2].copy(), problems[i][:, 2:4].copy()))
     print("| %s | %s | %.4f | %.3f |" % (name, ms, np.median([rotation_error(r) for r, _ in results]),
@@ -116,6 +127,7 @@ def main():
         return store_pictures(sys.argv[2])
     print("OpenCV %s, PoseLib %s" % (cv2.__version__, poselib.__version__))
     images()
+    matching()
     stored = {ratio: np.fromfile("%s/two_views_%d.f64" % (FOLDER, ratio)).reshape(-1, 1000, 7) for ratio in (30, 60)}
     if len(sys.argv) > 3:
         stored = {ratio: problems[:int(sys.argv[3])] for ratio, problems in stored.items()}

@@ -9,15 +9,64 @@ use std::path::Path;
 /// Width and height of all pictures, px: KITTI's.
 pub const SIZE: [usize; 2] = [1241, 376];
 const LEVELS: usize = 4;
-/// Zoom, turn (rad) and shift (px) of the second pair: a step of about 12 px at the borders.
-const ZOOM: f64 = 1.02;
-const TURN_RAD: f64 = 0.004;
-const SHIFT_PX: [f64; 2] = [3.3, -1.7];
-/// Standard deviation of the noise added to the moved picture, grey values.
-const NOISE_GREY: f64 = 2.0;
 /// Rectangles of an invented picture, and their largest side, px.
 const RECTANGLES: usize = 6000;
 const LARGEST_PX: usize = 60;
+
+/// What a picture differs by from the one before.
+pub struct Difference {
+    /// For people.
+    pub name: &'static str,
+    /// About the middle of the picture.
+    pub zoom: f64,
+    /// About the middle of the picture, rad.
+    pub turn_rad: f64,
+    /// After that, px.
+    pub shift_px: [f64; 2],
+    /// Of both pictures, about their mean.
+    pub contrast: f64,
+    /// Of the second.
+    pub gain: f64,
+    /// Of the second, grey values.
+    pub bias: f64,
+    /// Length of the second's horizontal blur, px, odd.
+    pub blur_px: usize,
+    /// Standard deviation of the noise added last, grey values; of both pictures where the contrast is not 1.
+    pub noise: f64,
+}
+
+impl Difference {
+    /// A step of about 12 px at the borders.
+    pub const SMALL: Self = Self {
+        name: "a step",
+        zoom: 1.02,
+        turn_rad: 0.004,
+        shift_px: [3.3, -1.7],
+        contrast: 1.0,
+        gain: 1.0,
+        bias: 0.0,
+        blur_px: 1,
+        noise: 2.0,
+    };
+    /// A step of about 30 px at the borders.
+    pub const PLAIN: Self = Self { zoom: 1.05, turn_rad: 0.01, shift_px: [6.3, -3.4], ..Self::SMALL };
+
+    /// Where a pixel of the first picture is in the second, pixel centres at +0.5.
+    pub fn target_px(&self, [x, y]: [f32; 2]) -> [f64; 2] {
+        let (dx, dy) = (f64::from(x) - center_px()[0], f64::from(y) - center_px()[1]);
+        let (sin, cos) = self.turn_rad.sin_cos();
+        let at = |along: f64, k: usize| center_px()[k] + self.zoom * along + self.shift_px[k];
+        [at(cos * dx - sin * dy, 0), at(sin * dx + cos * dy, 1)]
+    }
+
+    /// Where a pixel of the second picture is in the first.
+    fn source_px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.turn_rad.sin_cos();
+        let dx = (x - center_px()[0] - self.shift_px[0]) / self.zoom;
+        let dy = (y - center_px()[1] - self.shift_px[1]) / self.zoom;
+        [center_px()[0] + cos * dx + sin * dy, center_px()[1] - sin * dx + cos * dy]
+    }
+}
 
 /// A picture and the next one, rows without gaps.
 pub struct Pair {
@@ -50,37 +99,39 @@ impl Pair {
                 row.iter_mut().skip(left).take(width).for_each(|pixel| *pixel = grey);
             }
         }
-        let second = moved(&first);
+        let second = moved(&first, &Difference::SMALL);
         Self { first, second }
     }
 
-    /// The first picture and itself moved by [`true_target_px`], with noise.
-    pub fn with_known_flow(&self) -> Self {
-        Self { first: self.first.clone(), second: moved(&self.first) }
+    /// The first picture and itself, so different.
+    pub fn with_difference(&self, difference: &Difference) -> Self {
+        let mean = self.first.iter().map(|&p| f64::from(p)).sum::<f64>() / self.first.len() as f64;
+        let mut rng = Rng::new(7, 8, 9);
+        let noise = if difference.contrast == 1.0 { 0.0 } else { difference.noise };
+        let mut grey = |&p: &u8| {
+            let value = mean + difference.contrast * (f64::from(p) - mean) + noise * normal(&mut rng);
+            value.round().clamp(0.0, 255.0) as u8
+        };
+        Self { first: self.first.iter().map(&mut grey).collect(), second: moved(&self.first, difference) }
     }
-}
-
-/// Where a pixel of the first picture is in the second, pixel centres at +0.5.
-pub fn true_target_px([x, y]: [f32; 2]) -> [f64; 2] {
-    let (dx, dy) = (f64::from(x) - center_px()[0], f64::from(y) - center_px()[1]);
-    let (sin, cos) = TURN_RAD.sin_cos();
-    let at = |along: f64, k: usize| center_px()[k] + ZOOM * along + SHIFT_PX[k];
-    [at(cos * dx - sin * dy, 0), at(sin * dx + cos * dy, 1)]
 }
 
 fn center_px() -> [f64; 2] {
     SIZE.map(|side| 0.5 * side as f64)
 }
 
-fn moved(picture: &[u8]) -> Vec<u8> {
+fn moved(picture: &[u8], difference: &Difference) -> Vec<u8> {
+    let mean = picture.iter().map(|&p| f64::from(p)).sum::<f64>() / picture.len() as f64;
     let mut rng = Rng::new(4, 5, 6);
-    let (sin, cos) = TURN_RAD.sin_cos();
+    let place = |i: usize| difference.source_px([(i % SIZE[0]) as f64 + 0.5, (i / SIZE[0]) as f64 + 0.5]);
+    let sharp: Vec<f64> = (0..picture.len()).map(|i| cubic(picture, place(i))).collect();
+    let half = difference.blur_px / 2;
     let grey = |i: usize| {
-        let (x, y) = ((i % SIZE[0]) as f64 + 0.5, (i / SIZE[0]) as f64 + 0.5);
-        let dx = (x - center_px()[0] - SHIFT_PX[0]) / ZOOM;
-        let dy = (y - center_px()[1] - SHIFT_PX[1]) / ZOOM;
-        let source = [center_px()[0] + cos * dx + sin * dy, center_px()[1] - sin * dx + cos * dy];
-        (cubic(picture, source) + NOISE_GREY * normal(&mut rng)).round().clamp(0.0, 255.0) as u8
+        let (x, row) = (i % SIZE[0], i / SIZE[0] * SIZE[0]);
+        let run = &sharp[row + x.saturating_sub(half)..row + (x + half + 1).min(SIZE[0])];
+        let blurred = run.iter().sum::<f64>() / run.len() as f64;
+        let exposed = difference.gain * (mean + difference.contrast * (blurred - mean)) + difference.bias;
+        (exposed + difference.noise * normal(&mut rng)).round().clamp(0.0, 255.0) as u8
     };
     (0..picture.len()).map(grey).collect()
 }

@@ -4,8 +4,16 @@
 //! much. What stands here starts from the two images alone.
 
 pub mod dense;
+pub mod sparse;
+mod local_flow;
+mod window_search;
+
+#[cfg(test)]
+mod testing;
 
 pub use dense::{DenseCapacities, DenseMatcher, DenseNode, DenseSettings, DenseStorage};
+pub use sparse::{DescriptorMatcher, DescriptorMatcherSettings, DescriptorStorage};
+pub use window_search::WindowSettings;
 
 use crate::frame::Pyramid;
 

@@ -1,5 +1,9 @@
 //! Corners, evenly spread: at most one new corner per cell of a grid, none where a track already is.
 
+mod everywhere;
+
+pub use everywhere::detect_everywhere;
+
 use super::lanes::{Kernel, KernelTask, SimdLevel};
 use super::lk::squared_distance;
 use crate::frame::ImageView;
@@ -195,20 +199,13 @@ fn strongest_in_cell<K: Kernel>(
     let mut strongest = [(0.0f32, Corner::NONE); CANDIDATES];
     let (left, top) = (first[0] - HALO, first[1] - HALO);
     let n_lanes = end[0] - first[0] + 2 * HALO;
-    let mut ring = [[[0i32; LANES]; 3]; BLOCK];
-    let mut block = [[0i32; LANES]; 3];
+    let mut sums = BlockSums::NONE;
     // Three rows of responses and of the sums that they came from; the middle one is searched for maxima.
     let mut responses = [[0.0f32; LANES]; 3];
-    let mut middle_block = block;
+    let mut middle_block = sums.block;
     for y in top + 1..end[1] + HALO - 1 {
-        let entering = product_row(image, left, y, n_lanes);
-        let leaving = core::mem::replace(&mut ring[y % BLOCK], entering);
-        for ((block, entering), leaving) in block.iter_mut().zip(&entering).zip(&leaving) {
-            for i in 0..LANES {
-                block[i] += entering[i] - leaving[i];
-            }
-        }
-        responses = [responses[1], responses[2], response_row(&block)];
+        sums.slide(y, product_row(image, left, y, n_lanes));
+        responses = [responses[1], responses[2], response_row(&sums.block)];
         // The block ends with row y, so it is centred two rows above; the middle responses lie one row higher still.
         let center_y = y + 1 - HALO;
         if center_y >= first[1] {
@@ -221,9 +218,30 @@ fn strongest_in_cell<K: Kernel>(
                 }
             }
         }
-        middle_block = block;
+        middle_block = sums.block;
     }
     strongest.map(|(_, corner)| corner)
+}
+
+/// Sums over the last rows of products.
+struct BlockSums {
+    ring: [ProductRow; BLOCK],
+    block: ProductRow,
+}
+
+impl BlockSums {
+    const NONE: Self = Self { ring: [[[0; LANES]; 3]; BLOCK], block: [[0; LANES]; 3] };
+
+    /// Takes row `y` in and drops the row that is [`BLOCK`] rows above.
+    #[inline(always)]
+    fn slide(&mut self, y: usize, entering: ProductRow) {
+        let leaving = core::mem::replace(&mut self.ring[y % BLOCK], entering);
+        for ((block, entering), leaving) in self.block.iter_mut().zip(&entering).zip(&leaving) {
+            for i in 0..LANES {
+                block[i] += entering[i] - leaving[i];
+            }
+        }
+    }
 }
 
 fn keep_strongest(strongest: &mut [(f32, Corner); CANDIDATES], response: f32, corner: Corner) {

@@ -14,7 +14,7 @@ pub struct Rng {
 const MULTIPLIER: u64 = 6_364_136_223_846_793_005;
 
 /// SplitMix64 finaliser: spreads neighbouring seeds over all bits (Steele, Lea & Flood 2014).
-fn spread(mut z: u64) -> u64 {
+const fn spread(mut z: u64) -> u64 {
     z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -23,7 +23,7 @@ fn spread(mut z: u64) -> u64 {
 
 impl Rng {
     /// Generator for one purpose within one frame of one run.
-    pub fn new(run_seed: u64, frame: u64, purpose: u64) -> Self {
+    pub const fn new(run_seed: u64, frame: u64, purpose: u64) -> Self {
         let mut rng = Self { state: 0, increment: spread(purpose ^ spread(frame)) | 1 };
         rng.state = spread(run_seed ^ spread(frame.wrapping_add(spread(purpose))));
         rng.next_u32();
@@ -31,7 +31,7 @@ impl Rng {
     }
 
     /// Next 32 uniformly distributed bits.
-    pub fn next_u32(&mut self) -> u32 {
+    pub const fn next_u32(&mut self) -> u32 {
         let old = self.state;
         self.state = old.wrapping_mul(MULTIPLIER).wrapping_add(self.increment);
         let xorshifted = (((old >> 18) ^ old) >> 27) as u32;
@@ -39,8 +39,8 @@ impl Rng {
     }
 
     /// Uniform integer in `0..bound`; 0 when `bound` is 0.
-    pub fn below(&mut self, bound: usize) -> usize {
-        ((u64::from(self.next_u32()) * bound as u64) >> 32) as usize
+    pub const fn below(&mut self, bound: usize) -> usize {
+        ((self.next_u32() as u64 * bound as u64) >> 32) as usize
     }
 
     /// Uniform number in [0, 1).

@@ -3,6 +3,7 @@
 use super::DenseSettings;
 use super::storage::Grid;
 use super::volume::{BYTES_PER_NODE, REACH, SIDE, node_pixel};
+use crate::correspondence::local_flow::{Place, fit};
 
 /// A point of the grid on its way through the levels.
 #[derive(Clone, Copy, Debug)]
@@ -128,7 +129,15 @@ pub(super) fn agree(
             node.is_alive = false;
             continue;
         };
-        let (current_px, shape) = fit(&own, &chosen, neighbours, tolerance);
+        let all = neighbours.iter().chain(own.is_alive.then_some(&own));
+        let agreeing = all.filter(|other| agrees(&chosen, other, tolerance));
+        let places = agreeing.map(|other| Place { keyframe_px: other.keyframe_px, current_px: other.current_px });
+        let flow = chosen.displacement();
+        let start = Place {
+            keyframe_px: own.keyframe_px,
+            current_px: [own.keyframe_px[0] + flow[0], own.keyframe_px[1] + flow[1]],
+        };
+        let (current_px, shape) = fit(&start, DenseNode::NONE.shape, 0.5 * tolerance.near_px, places);
         node.shape = shape;
         node.support = votes as f32 / n as f32;
         if !enough(own_votes) {
@@ -145,6 +154,9 @@ pub(super) fn keep_consistent(
     nodes: &mut [DenseNode],
     before: &mut [DenseNode],
 ) {
+    for node in nodes.iter_mut() {
+        node.is_alive &= node.sigma_px.is_finite();
+    }
     let before = &mut before[..nodes.len()];
     before.copy_from_slice(nodes);
     for (i, node) in nodes.iter_mut().enumerate().filter(|(_, node)| node.is_alive) {
@@ -157,9 +169,7 @@ pub(super) fn keep_consistent(
             (0..2).all(|k| (other.current_px[k] - expected[k]).abs() <= limit_px)
         };
         let supporters = neighbours[..n].iter().filter(follows).count();
-        node.is_alive = node.sigma_px.is_finite()
-            && supporters >= MIN_SUPPORTERS
-            && supporters as f32 >= settings.min_support * n as f32;
+        node.is_alive = supporters >= MIN_SUPPORTERS && supporters as f32 >= settings.min_support * n as f32;
         node.support = supporters as f32 / MOST_NEIGHBOURS as f32;
     }
 }
@@ -189,64 +199,6 @@ fn agrees(a: &DenseNode, b: &DenseNode, tolerance: Tolerance) -> bool {
     let (flow_a, flow_b) = (a.displacement(), b.displacement());
     let apart = |u: [f32; 2], v: [f32; 2]| (u[0] - v[0]).abs().max((u[1] - v[1]).abs());
     apart(flow_a, flow_b) <= tolerance.near_px + tolerance.per_px * apart(a.keyframe_px, b.keyframe_px)
-}
-
-/// Where the neighbours that agree with `chosen` expect `own`, and the linear map of offsets around it.
-///
-/// Least squares of  d(q) = d0 + G (q - p)  with a prior on G, so that two neighbours in a row give no wild shape; those that
-/// fit badly weigh less the second time.
-fn fit(
-    own: &DenseNode,
-    chosen: &DenseNode,
-    neighbours: &[DenseNode],
-    tolerance: Tolerance,
-) -> ([f32; 2], [[f32; 2]; 2]) {
-    /// Standard deviation of the gradient of the flow. Ours.
-    const GRADIENT_SIGMA: f32 = 0.2;
-    let [px, py] = own.keyframe_px;
-    let mut flow = chosen.displacement();
-    let mut gradient = [[0.0f32; 2]; 2];
-    let prior = (0.5 * tolerance.near_px / GRADIENT_SIGMA) * (0.5 * tolerance.near_px / GRADIENT_SIGMA);
-    for pass in 0..2 {
-        // Normal equations: 1, x, y, xx, xy, yy and the right sides for both components.
-        let mut m = [0.0f32, 0.0, 0.0, prior, 0.0, prior];
-        let mut b = [[0.0f32; 3]; 2];
-        let alive = own.is_alive.then_some(own);
-        for other in neighbours.iter().chain(alive).filter(|other| agrees(chosen, other, tolerance)) {
-            let (x, y) = (other.keyframe_px[0] - px, other.keyframe_px[1] - py);
-            let d = other.displacement();
-            let residual = |k: usize| d[k] - flow[k] - gradient[k][0] * x - gradient[k][1] * y;
-            let residual2 = if pass == 0 { 0.0 } else { residual(0) * residual(0) + residual(1) * residual(1) };
-            let weight = 1.0 / (1.0 + residual2 / (0.25 * tolerance.near_px * tolerance.near_px));
-            for (sum, term) in m.iter_mut().zip([1.0, x, y, x * x, x * y, y * y]) {
-                *sum += weight * term;
-            }
-            for k in 0..2 {
-                for (sum, term) in b[k].iter_mut().zip([1.0, x, y]) {
-                    *sum += weight * term * d[k];
-                }
-            }
-        }
-        for k in 0..2 {
-            if let Some([d0, gx, gy]) = solve(m, b[k]) {
-                (flow[k], gradient[k]) = (d0, [gx, gy]);
-            }
-        }
-    }
-    let [[a, b], [c, d]] = gradient;
-    ([px + flow[0], py + flow[1]], [[1.0 + a, b], [c, 1.0 + d]])
-}
-
-/// Symmetric 3 x 3 system by cofactors; `None` when it is singular.
-fn solve([n, x, y, xx, xy, yy]: [f32; 6], b: [f32; 3]) -> Option<[f32; 3]> {
-    let (c00, c01, c02) = (xx * yy - xy * xy, xy * y - x * yy, x * xy - xx * y);
-    let (c11, c12, c22) = (n * yy - y * y, x * y - n * xy, n * xx - x * x);
-    let determinant = n * c00 + x * c01 + y * c02;
-    if determinant.is_nan() || determinant <= 0.0 {
-        return None;
-    }
-    let row = |c: [f32; 3]| (c[0] * b[0] + c[1] * b[1] + c[2] * b[2]) / determinant;
-    Some([row([c00, c01, c02]), row([c01, c11, c12]), row([c02, c12, c22])])
 }
 
 /// How far neighbours may differ when they were found on `level`.

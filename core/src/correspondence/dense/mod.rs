@@ -19,7 +19,7 @@ mod volume;
 
 pub use storage::{DenseCapacities, DenseStorage, DenseStorageTooSmall};
 
-use super::{ImagePair, PairMatcher, PixelMatch};
+use super::{ImagePair, PairMatcher, PixelMatch, WindowSettings};
 use crate::features::SimdLevel;
 use crate::features::corners::REFERENCE_WIDTH_PX;
 pub use field::DenseNode;
@@ -34,16 +34,10 @@ pub struct DenseSettings {
     pub n_rounds: u32,
     /// Share of the neighbours that have to agree with a node. Range [0, 1]; ours.
     pub min_support: f32,
-    /// Newton steps per level at most. Range 1..=100; ours.
-    pub max_steps: u32,
-    /// A step shorter than this ends the search on a level, px of the level. Range (0, 0.5]; ours.
-    pub converged_px: f32,
-    /// Correlation of two windows on half the resolution below which they do not show the same. Range [-1, 1]; ours.
-    pub min_correlation: f32,
+    /// Search of the windows; the correlation is that on half the resolution, where noise is low and detail still there.
+    pub windows: WindowSettings,
     /// Standard deviation that a match may be expected to have, px. Range (0, 10]; ours.
     pub max_sigma_px: f32,
-    /// How far the way back may end from where the way there began, px. Range (0, 10]; ours.
-    pub max_backward_px: f32,
     /// How far a match may be from where its neighbours expect it, px. Range (0, 20]; ours.
     pub max_deviation_px: f32,
     /// The same, more per px of distance from the neighbour. Range [0, 1]; ours.
@@ -61,11 +55,8 @@ impl DenseSettings {
         coarse_noise: 0.7,
         n_rounds: 2,
         min_support: 0.4,
-        max_steps: 15,
-        converged_px: 0.02,
-        min_correlation: 0.6,
+        windows: WindowSettings::STANDARD,
         max_sigma_px: 1.0,
-        max_backward_px: 1.0,
         max_deviation_px: 1.5,
         max_deviation_per_px: 0.04,
         min_confidence: 0.3,
