@@ -1,9 +1,10 @@
-//! `cargo xtask sequences`: replays recordings with the release binary and prints what came out.
+//! `cargo xtask sequences overview`: a line per recording, tracked and mapped.
 
-use crate::step::{StepFailed, run as step};
+use super::{CommonArgs, read_json};
+use crate::step::StepFailed;
 use serde_json::Value;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Recordings in the order of the table: folder, and the most frames that a run of minutes can take.
 const RECORDINGS: [(&str, u32); 4] = [
@@ -13,18 +14,13 @@ const RECORDINGS: [(&str, u32); 4] = [
     ("kittiraw-0926-0060-lidar-colour", 78),
 ];
 
-/// Options of `cargo xtask sequences`.
+/// Options of `cargo xtask sequences overview`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct SequencesArgs {
-    /// Only recordings whose name contains this.
-    #[arg(long, value_name = "TEXT")]
-    only: Option<String>,
-    /// At most this many frames of each.
-    #[arg(long, value_name = "N")]
-    frames: Option<u32>,
-    /// Folder of the recordings; the default is $KILOGS_DATA, then ../shared/data.
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+#[command(after_help = "Example:\n  cargo xtask sequences overview --only kitti04 --frames 100")]
+pub(super) struct OverviewArgs {
+    /// What all tables share.
+    #[command(flatten)]
+    common: CommonArgs,
     /// Options handed on to `kilogs replay`, after `--`.
     #[arg(last = true)]
     replay: Vec<String>,
@@ -47,46 +43,20 @@ const COLUMNS: [(&str, &str, &[&str], f64, usize); 12] = [
 ];
 
 /// Replays, evaluates and prints a Markdown table on stdout. Output folders go below `target/`.
-pub(crate) fn run(root: &Path, args: &SequencesArgs) -> Result<(), StepFailed> {
-    let data = args
-        .data
-        .clone()
-        .or_else(|| std::env::var_os("KILOGS_DATA").map(PathBuf::from))
-        .unwrap_or_else(|| root.join("../shared/data"));
-    let wanted = |name: &str| args.only.as_deref().is_none_or(|text| name.contains(text));
-    let recordings: Vec<_> = RECORDINGS.into_iter().filter(|(name, _)| wanted(name)).collect();
-    if !recordings.iter().any(|(name, _)| data.join(name).is_dir()) {
-        let reason = format!("no recording in {}; give their folder with --data DIR or KILOGS_DATA", data.display());
-        return Err(StepFailed::Broken(reason));
-    }
-    step(root, "release binary", "cargo", &["build", "--release", "--bin", "kilogs"], &[])?;
+pub(super) fn run(root: &Path, args: &OverviewArgs) -> Result<(), StepFailed> {
+    let bench = args.common.bench(root, RECORDINGS.map(|(name, _)| name))?;
     let mut table = heading();
-    for (name, most_frames) in recordings {
-        let dataset = data.join(name);
-        if !dataset.is_dir() {
-            eprintln!("left out: {} is not there", dataset.display());
-            continue;
-        }
-        let frames = args.frames.unwrap_or(most_frames).min(most_frames);
-        let out = root.join("target/sequences").join(name);
-        replay_and_judge(root, &dataset, &out, frames, &args.replay)?;
+    for name in &bench.recordings {
+        let most_frames = RECORDINGS.iter().find(|(known, _)| known == name).map_or(0, |(_, most_frames)| *most_frames);
+        let (dataset, out) = (bench.data.join(name), bench.out.join("overview").join(name));
+        let frames = args.common.frames.unwrap_or(most_frames).min(most_frames);
+        let mut options = vec!["--camera".to_owned(), "kitti".to_owned(), format!("--frames={frames}")];
+        options.extend(args.replay.iter().cloned());
+        bench.replay_and_judge(&dataset, &out, &options)?;
         let _ = writeln!(table, "{}", row(name, &out)?);
     }
     println!("{table}");
     Ok(())
-}
-
-fn replay_and_judge(root: &Path, dataset: &Path, out: &Path, frames: u32, more: &[String]) -> Result<(), StepFailed> {
-    let (dataset_text, out_text, frames) = (dataset.to_string_lossy(), out.to_string_lossy(), frames.to_string());
-    let mut arguments = vec!["replay", &*dataset_text, "--camera", "kitti", "--out", &*out_text, "--frames", &frames];
-    arguments.extend(more.iter().map(String::as_str));
-    step(root, "replay", "target/release/kilogs", &arguments, &[])?;
-    let truth = dataset.join("poses.txt");
-    if !truth.is_file() {
-        return Ok(());
-    }
-    let arguments = ["eval", &*out_text, "--gt", &*truth.to_string_lossy(), "--dataset", &*dataset_text];
-    step(root, "evaluation", "target/release/kilogs", &arguments, &[])
 }
 
 fn heading() -> String {
@@ -104,12 +74,6 @@ fn row(name: &str, out: &Path) -> Result<String, StepFailed> {
         value.map_or_else(|| "-".to_owned(), |number| format!("{:.digits$}", number * factor))
     });
     Ok(format!("| {name} | {} |", cells.collect::<Vec<_>>().join(" | ")))
-}
-
-fn read_json(path: &Path) -> Result<Value, StepFailed> {
-    let broken = |reason: String| StepFailed::Broken(format!("reading {}: {reason}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| broken(error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| broken(error.to_string()))
 }
 
 #[cfg(test)]

@@ -1,0 +1,164 @@
+//! `cargo xtask sequences tracking`: what each part of the tracker is worth, on recordings and on spoilt drives.
+
+mod drives;
+mod figures;
+mod jobs;
+
+use super::{Bench, CommonArgs};
+use crate::step::StepFailed;
+use figures::Figures;
+use jobs::run_all;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Recordings in the order of the table; the last one has no truth.
+const RECORDINGS: [&str; 7] = [
+    "kitti04-full",
+    "kitti00-0000-1699",
+    "kitti00-lowres-colour-0000-1017",
+    "kitti01-0000-0050",
+    "kitti05-0100-0159-stereo",
+    "kitti06-0000-0050",
+    "kittiraw-0926-0060-lidar-colour",
+];
+
+/// What is switched: name and settings.
+const ARMS: [(&str, &[&str]); 8] = [
+    ("full", &[]),
+    ("only E", &["tracking.pose_models=essential"]),
+    ("only PnP", &["tracking.pose_models=pnp"]),
+    ("no dynamic filter", &["tracking.dynamic_filter=off"]),
+    ("paper's filter", &["tracking.dynamic_filter=paper"]),
+    ("no dense fallback", &["tracking.dense_fallback=off"]),
+    ("no BA", &["tracking.bundle_adjustment=off"]),
+    ("learned matcher", &["tracking.matcher=xfeat"]),
+];
+
+/// Options of `cargo xtask sequences tracking`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  cargo xtask sequences tracking\n  cargo xtask sequences tracking --only kitti04 --arms full,dense --jobs 2\n  \
+                  cargo xtask sequences tracking --only tunnel --kilogs target/release/kilogs"
+)]
+pub(super) struct TrackingArgs {
+    /// What all tables share.
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Only arms whose name contains one of these, between commas.
+    #[arg(long, value_name = "TEXT", value_delimiter = ',')]
+    arms: Vec<String>,
+    /// Runs at once. Times are only worth something with one.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    jobs: u16,
+    /// Map too (20 iterations per keyframe), for the map's PSNR; it takes hours.
+    #[arg(long)]
+    map: bool,
+}
+
+/// One run of the program.
+struct Run {
+    /// First and second cell of its row.
+    names: [String; 2],
+    /// Name of the output folder below the table's.
+    folder: String,
+    options: Vec<String>,
+    /// Frames of which the models are counted apart: those that are spoilt.
+    spoilt: Option<std::ops::Range<u64>>,
+}
+
+/// Prints both tables on stdout. Output folders go below `target/`.
+pub(super) fn run(root: &Path, args: &TrackingArgs) -> Result<(), StepFailed> {
+    let bench = args.common.bench(root, RECORDINGS)?;
+    let wanted_arm = |name: &str| args.arms.is_empty() || args.arms.iter().any(|text| name.contains(text.as_str()));
+    let arms: Vec<_> = ARMS.into_iter().filter(|(name, _)| wanted_arm(name)).collect();
+    let mut runs = Vec::new();
+    for name in &bench.recordings {
+        for (arm, settings) in &arms {
+            let mut options = vec!["--camera=kitti".to_owned()];
+            options.extend(args.options(settings));
+            let folder = format!("{name}/{}", arm.replace([' ', '\''], "-"));
+            runs.push((
+                bench.data.join(name),
+                Run { names: [name.clone(), (*arm).to_owned()], folder, options, spoilt: None },
+            ));
+        }
+    }
+    if !runs.is_empty() {
+        println!("{}", table(&bench, args, "recording | arm", runs));
+    }
+    let runs = drives::runs(&bench, args)?;
+    if !runs.is_empty() {
+        println!("{}", table(&bench, args, "drive | dense fallback", runs));
+    }
+    Ok(())
+}
+
+impl TrackingArgs {
+    /// Options of a run with these settings.
+    fn options(&self, settings: &[&str]) -> Vec<String> {
+        let frames = self.common.frames.map(|n| format!("--frames={n}"));
+        let mapping = (!self.map).then_some("mapping.enabled=false");
+        let settings = settings.iter().copied().chain(mapping).map(|setting| format!("--set={setting}"));
+        frames.into_iter().chain(settings).collect()
+    }
+}
+
+/// Makes all runs and lays their figures out; what could not be had is a dash, with its reason below.
+fn table(bench: &Bench, args: &TrackingArgs, names: &str, runs: Vec<(std::path::PathBuf, Run)>) -> String {
+    let out = bench.out.join("tracking");
+    let found = run_all(usize::from(args.jobs), &runs, |(dataset, run)| {
+        let folder = out.join(&run.folder);
+        bench.replay_and_judge(dataset, &folder, &run.options).and_then(|()| Figures::read(&folder, run.spoilt.clone()))
+    });
+    let has_spoilt = runs.iter().any(|(_, run)| run.spoilt.is_some());
+    let mut text = heading(names, has_spoilt);
+    let mut reasons = Vec::new();
+    for ((_, run), figures) in runs.iter().zip(found) {
+        let [first, second] = &run.names;
+        let cells = match figures {
+            Ok(figures) => figures.cells(has_spoilt),
+            Err(problem) => {
+                reasons.push(format!("{first}, {second}: {problem}"));
+                vec!["-".to_owned(); Figures::headings(has_spoilt).len()]
+            }
+        };
+        let _ = writeln!(text, "| {first} | {second} | {} |", cells.join(" | "));
+    }
+    if args.jobs > 1 {
+        reasons.push(format!("{} runs at once: the milliseconds are those of a busy machine.", args.jobs));
+    }
+    reasons.iter().for_each(|reason| text.push_str(&format!("\n* {reason}")));
+    text
+}
+
+fn heading(names: &str, has_spoilt: bool) -> String {
+    let headings = Figures::headings(has_spoilt);
+    format!("| {names} | {} |\n|---|---|{}\n", headings.join(" | "), "---:|".repeat(headings.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_has_as_many_cells_as_headings() {
+        for has_spoilt in [false, true] {
+            let text = heading("recording | arm", has_spoilt);
+            let bars: Vec<usize> = text.lines().map(|line| line.matches('|').count()).collect();
+            assert_eq!(bars, [bars[0]; 2], "{text}");
+            assert_eq!(bars[0], Figures::headings(has_spoilt).len() + 3);
+        }
+    }
+
+    #[test]
+    fn mapping_is_off_unless_it_is_asked_for() {
+        let common = CommonArgs { only: None, frames: Some(7), data: None, kilogs: None };
+        let args = TrackingArgs { common, arms: Vec::new(), jobs: 1, map: false };
+        let settings = ["tracking.matcher=xfeat"];
+        assert_eq!(
+            args.options(&settings),
+            ["--frames=7", "--set=tracking.matcher=xfeat", "--set=mapping.enabled=false"]
+        );
+        assert_eq!(TrackingArgs { map: true, ..args }.options(&settings).len(), 2);
+    }
+}
