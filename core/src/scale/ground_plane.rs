@@ -1,6 +1,7 @@
 //! The road's plane from the direct alignment of its pixels between two images.
 
 use super::strip::{Alignment, Fit, Normal5, Strip};
+use super::tiles::{Election, elect};
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::Rigid;
 use crate::frame::Pyramid;
@@ -12,7 +13,8 @@ use nalgebra::{Matrix3, Vector3};
 pub struct RoadSettings {
     /// Nearest and farthest road used, m ahead. Range 2..60. Nearer is sharper but leaves the image.
     pub distance_m: [f64; 2],
-    /// Half the width of the road strip, m. Range 0.5..4; wider strips see pavements and parked cars.
+    /// Half the width of the road strip, m. Range 0.5..6; a narrow strip vanishes behind the car ahead, and what a wide one
+    /// sees beside the road has to win an election against it.
     pub half_width_m: f64,
     /// Change of grey value at one place at which a pixel counts half: what does not change is flat, or rides along
     /// (a car ahead and its shadow). Range 0..50; 0 counts all alike.
@@ -29,6 +31,8 @@ pub struct RoadSettings {
     pub min_pixels: usize,
     /// Correlation of the aligned strips below which they do not show the same road. Range 0..1.
     pub min_correlation: f64,
+    /// Logarithm of the likelihood by which the elected height must surpass any other. Range 0..50.
+    pub min_margin: f64,
     /// Fewest px that the nearest road must move between the images. Range 1..50.
     pub min_flow_px: f64,
 }
@@ -63,6 +67,8 @@ pub struct RoadAlignment {
     pub correlation: f64,
     /// Pixels used, of the working level.
     pub n_pixels: usize,
+    /// Share of the tiles with texture that agree with the plane.
+    pub agreement: f64,
 }
 
 /// Why the road could not be measured; keep the scale that there is.
@@ -85,6 +91,11 @@ pub enum RoadProblem {
         /// Correlation of the strips.
         correlation: f64,
     },
+    /// Two heights explain the strips almost equally well: wait for a longer step.
+    Ambiguous {
+        /// Logarithm of how much likelier the better one is.
+        margin: f64,
+    },
     /// The plane went where no road can be.
     Implausible {
         /// Height found, m.
@@ -98,6 +109,7 @@ impl fmt::Display for RoadProblem {
             Self::TooLittleMotion { flow_px } => write!(f, "the road moved by {flow_px:.1} px only"),
             Self::TooFewPixels { found, needed } => write!(f, "{found} road pixels, {needed} needed"),
             Self::Different { correlation } => write!(f, "the road strips correlate by {correlation:.2} only"),
+            Self::Ambiguous { margin } => write!(f, "another height of the road is as likely but for e^{margin:.1}"),
             Self::Implausible { height_m } => write!(f, "the road came out {height_m:.2} m below the camera"),
         }
     }
@@ -105,21 +117,17 @@ impl fmt::Display for RoadProblem {
 
 impl core::error::Error for RoadProblem {}
 
-/// Height found over height expected: outside this range it is no road.
-const PLAUSIBLE_RATIO: [f64; 2] = [0.4, 2.5];
-
-/// Ratio of neighbouring lengths in a search.
-const SEARCH_FACTOR: f64 = 1.06;
-
 /// Measures the road's plane by aligning its pixels between two images.
 ///
 /// A point of the plane m^T X = 1 (m = normal / height) seen along the ray x has the inverse depth m^T x, so the
-/// earlier camera sees it along  R x + t (m^T x),  which is linear in m. Minimises
+/// earlier camera sees it along  R x + t (m^T x),  which is linear in m. First the tiles of the strip elect one of a
+/// row of heights, then all pixels but those of the tiles that dissent minimise
 /// sum_p rho(g I_earlier(warp(p; m)) + b - I_later(p)) over m, contrast g and brightness b, rho = Tukey, with a
 /// prior on the direction of m, by Gauss-Newton from coarse to fine.
 ///
 /// # Inputs
 /// * `pair`: images, motion and where the road is expected; the motion's scale is the unit of the result.
+/// * `range`: heights over the expected one that are possible; a wide range finds the length of a step that nobody knows.
 /// * `mounting`: true height of the camera, which places the strip in the image.
 ///
 /// # Output
@@ -129,77 +137,57 @@ const SEARCH_FACTOR: f64 = 1.06;
 /// [`RoadProblem`]: nothing was learnt about the scale.
 ///
 /// # Cost
-/// O(pixels of the strip in the working level * iterations); 3 KiB of stack.
+/// O(pixels of the strip in the working level * (heights + iterations)); 30 KiB of stack.
 ///
 /// # Source
 /// Faugeras & Lustman 1988 (plane-induced homography); Baker & Matthews 2004 (alignment). Own derivation of the
-/// parametrisation.
+/// parametrisation and the election.
 pub fn align_road(
     pair: &RoadPair<'_, '_>,
+    range: [f64; 2],
     mounting: &Mounting,
     settings: &RoadSettings,
 ) -> Result<RoadAlignment, RoadProblem> {
-    let nearest_z1 = Vector3::new(0.0, mounting.height_m / settings.distance_m[0], 1.0);
-    let start = pair.expected_normal / pair.expected_height_m;
-    let shift = pair.earlier_from_later.translation.vector * start.dot(&nearest_z1);
-    let flow_px = pair.camera.fy * (shift.xy() - nearest_z1.xy() * shift.z).norm();
-    if flow_px.is_nan() || flow_px < settings.min_flow_px {
-        return Err(RoadProblem::TooLittleMotion { flow_px });
-    }
+    require_flow(pair, range[0], mounting, settings)?;
     let finest = finest_level(pair, settings);
-    let mut state = Alignment::at(start);
+    let nothing = RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels };
+    let working = Strip::new(pair, finest).ok_or(nothing)?;
+    let election = elect(&working, pair, mounting, settings, range)?;
+    if election.margin < settings.min_margin {
+        return Err(RoadProblem::Ambiguous { margin: election.margin });
+    }
+    require_flow(pair, election.height_ratio, mounting, settings)?;
+    let mut state = Alignment::at(pair.expected_normal / (pair.expected_height_m * election.height_ratio));
     let mut measured = None;
     for level in (finest..(finest + 2).min(pair.later.n_levels())).rev() {
         let Some(strip) = Strip::new(pair, level) else { continue };
         let before = state;
-        match state.iterate(&strip, pair, mounting, settings) {
+        match state.iterate(&strip, pair, &election.mask, mounting, settings) {
             Ok(found) => measured = Some(found),
             // A coarse level only brings the start nearer: one that is too small for that is left out.
             Err(RoadProblem::TooFewPixels { .. }) if level > finest => state = before,
             Err(problem) => return Err(problem),
         }
     }
-    let (normal_equations, fit) =
-        measured.ok_or(RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels })?;
-    judge(&state, &normal_equations, &fit, pair, settings)
+    let (normal_equations, fit) = measured.ok_or(nothing)?;
+    judge(&state, &normal_equations, &fit, &election, pair, settings)
 }
 
-/// Finds the length of a step by trying a row of lengths and comparing the road strips that they predict.
-///
-/// # Inputs
-/// * `pair_of`: the pair with a step of the given length, m.
-/// * `range_m`: shortest and longest step tried; neighbours differ by 6 %.
-/// * `mounting`, `settings`: as for [`align_road`]; the road is taken to be exactly where it is expected.
-///
-/// # Output
-/// The length whose strips correlate best, `None` when none correlates enough.
-///
-/// # Cost
-/// O(pixels of the strip in a coarse level * lengths).
-///
-/// # Source
-/// Own: exhaustive search in the one parameter that is unknown.
-pub fn search_road<'a, 'm: 'a>(
-    pair_of: impl Fn(f64) -> RoadPair<'a, 'm>,
-    range_m: [f64; 2],
+/// The nearest road must move by enough pixels if it lies at this ratio of the height expected.
+fn require_flow(
+    pair: &RoadPair<'_, '_>,
+    height_ratio: f64,
     mounting: &Mounting,
     settings: &RoadSettings,
-) -> Option<f64> {
-    let mut best = (settings.min_correlation, None);
-    let mut length_m = range_m[0];
-    while length_m <= range_m[1] {
-        let pair = pair_of(length_m);
-        let level = (finest_level(&pair, settings) + 1).min(pair.later.n_levels().saturating_sub(1));
-        if let Some(strip) = Strip::new(&pair, level) {
-            let state = Alignment::at(pair.expected_normal / pair.expected_height_m);
-            let (_, _, fit) = state.equations(&strip, &pair, mounting, settings, f64::INFINITY);
-            if fit.n_pixels >= settings.min_pixels / 2 && fit.correlation > best.0 {
-                best = (fit.correlation, Some(length_m));
-            }
-        }
-        length_m *= SEARCH_FACTOR;
+) -> Result<(), RoadProblem> {
+    let nearest_z1 = Vector3::new(0.0, mounting.height_m / settings.distance_m[0], 1.0);
+    let plane = pair.expected_normal / (pair.expected_height_m * height_ratio);
+    let shift = pair.earlier_from_later.translation.vector * plane.dot(&nearest_z1);
+    let flow_px = pair.camera.fy * (shift.xy() - nearest_z1.xy() * shift.z).norm();
+    if flow_px.is_nan() || flow_px < settings.min_flow_px {
+        return Err(RoadProblem::TooLittleMotion { flow_px });
     }
-    best.1
+    Ok(())
 }
 
 /// The coarsest level that is still as wide as the settings ask for.
@@ -210,16 +198,20 @@ fn finest_level(pair: &RoadPair<'_, '_>, settings: &RoadSettings) -> usize {
         .unwrap_or(0)
 }
 
+/// The alignment may not leave the elected height by more than this factor: then it went somewhere else.
+const MAX_CHANGE: f64 = 1.2;
+
 fn judge(
     state: &Alignment,
     normal_equations: &Normal5,
     fit: &Fit,
+    election: &Election,
     pair: &RoadPair<'_, '_>,
     settings: &RoadSettings,
 ) -> Result<RoadAlignment, RoadProblem> {
     let height_m = 1.0 / state.plane.norm();
-    let ratio = height_m / pair.expected_height_m;
-    if !(PLAUSIBLE_RATIO[0]..=PLAUSIBLE_RATIO[1]).contains(&ratio) {
+    let ratio = height_m / (pair.expected_height_m * election.height_ratio);
+    if !(1.0 / MAX_CHANGE..=MAX_CHANGE).contains(&ratio) {
         return Err(RoadProblem::Implausible { height_m });
     }
     if fit.correlation.is_nan() || fit.correlation < settings.min_correlation {
@@ -234,5 +226,6 @@ fn judge(
         relative_sigma: libm::sqrt(variance) * height_m,
         correlation: fit.correlation,
         n_pixels: fit.n_pixels,
+        agreement: election.n_agreeing as f64 / election.n_votes as f64,
     })
 }

@@ -3,8 +3,9 @@
 pub mod ground_plane;
 mod scale_filter;
 mod strip;
+mod tiles;
 
-pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road, search_road};
+pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road};
 pub use scale_filter::{ScaleFilter, ScaleFilterSettings, ScaleUpdate};
 
 #[cfg(test)]

@@ -7,6 +7,9 @@ pub struct ScaleFilterSettings {
     pub first_sigma: f64,
     /// Random drift of the logarithm per square root of a metre driven. Range 0.0001..0.05.
     pub drift_per_sqrt_m: f64,
+    /// Random drift of the logarithm per square root of a radian turned, where landmarks change within a few keyframes.
+    /// Range 0..0.2.
+    pub turn_drift_per_sqrt_rad: f64,
     /// Standard deviation of the constant part of the drift before the first measurement, 1/m. Range 0..0.01.
     pub drift_rate_sigma_per_m: f64,
     /// Random change of that constant part per square root of a metre, 1/m. Range 0..0.001.
@@ -98,12 +101,14 @@ impl ScaleFilter {
         self.drift_rate_per_m
     }
 
-    /// Lets the scale drift over a distance driven; returns the factor that undoes the expected drift.
-    pub fn drive(&mut self, distance_m: f64, settings: &ScaleFilterSettings) -> f64 {
-        if !(distance_m.is_finite() && distance_m > 0.0) {
+    /// Lets the scale drift over a distance driven and an angle turned; returns the factor that undoes the expected
+    /// drift.
+    pub fn drive(&mut self, distance_m: f64, turn_rad: f64, settings: &ScaleFilterSettings) -> f64 {
+        if !(distance_m.is_finite() && distance_m > 0.0 && turn_rad.is_finite()) {
             return 1.0;
         }
-        let random = settings.drift_per_sqrt_m * settings.drift_per_sqrt_m * distance_m;
+        let turning = settings.turn_drift_per_sqrt_rad * settings.turn_drift_per_sqrt_rad * turn_rad.abs();
+        let random = settings.drift_per_sqrt_m * settings.drift_per_sqrt_m * distance_m + turning;
         let change = settings.drift_rate_change_per_m * settings.drift_rate_change_per_m * distance_m;
         let ceiling = settings.first_sigma * settings.first_sigma;
         self.variance += distance_m * (2.0 * self.covariance + distance_m * self.rate_variance) + random;
@@ -151,6 +156,7 @@ mod tests {
     const SETTINGS: ScaleFilterSettings = ScaleFilterSettings {
         first_sigma: 1.0,
         drift_per_sqrt_m: 0.002,
+        turn_drift_per_sqrt_rad: 0.04,
         drift_rate_sigma_per_m: 0.001,
         drift_rate_change_per_m: 0.00002,
         measurement_sigma: 0.03,
@@ -167,7 +173,7 @@ mod tests {
         let (mut scale, mut worst) = (0.8_f64, 0.0_f64);
         for i in 0..n {
             scale *= libm::exp(drift * 2.0);
-            scale *= filter.drive(2.0, &SETTINGS);
+            scale *= filter.drive(2.0, 0.0, &SETTINGS);
             if let ScaleUpdate::Accept { correction, .. } = filter.update(measure(i, 1.0 / scale), 0.0, &SETTINGS) {
                 scale *= correction;
             }
@@ -205,10 +211,10 @@ mod tests {
     fn a_measurement_counts_by_the_way_since_the_one_before() {
         let gain = |steps_m: &[f64], ratio_between: Option<f64>| {
             let mut filter = ScaleFilter::new(&SETTINGS);
-            filter.drive(2.0, &SETTINGS);
+            filter.drive(2.0, 0.0, &SETTINGS);
             filter.update(1.0, 0.0, &SETTINGS);
             for &step_m in steps_m {
-                filter.drive(step_m, &SETTINGS);
+                filter.drive(step_m, 0.0, &SETTINGS);
                 if let Some(ratio) = ratio_between {
                     filter.update(ratio, 0.0, &SETTINGS);
                 }
@@ -230,7 +236,7 @@ mod tests {
     fn nonsense_is_rejected() {
         let mut filter = ScaleFilter::new(&SETTINGS);
         let rejects = |filter: &mut ScaleFilter, ratio: f64, sigma: f64| {
-            filter.drive(1.0, &SETTINGS);
+            filter.drive(1.0, 0.0, &SETTINGS);
             matches!(filter.update(ratio, sigma, &SETTINGS), ScaleUpdate::Reject { .. })
         };
         for ratio in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
@@ -239,6 +245,7 @@ mod tests {
         assert!(rejects(&mut filter, 1.0, f64::NAN));
         assert!(!rejects(&mut filter, 3.0, 0.0), "the first measurement may be anywhere");
         assert!(rejects(&mut filter, 1.6, 0.0), "a later one may not jump");
-        assert_eq!(filter.drive(f64::NAN, &SETTINGS), 1.0);
+        assert_eq!(filter.drive(f64::NAN, 0.0, &SETTINGS), 1.0);
+        assert_eq!(filter.drive(1.0, f64::NAN, &SETTINGS), 1.0);
     }
 }

@@ -1,6 +1,7 @@
 //! The road strip in two images, and the equations of its alignment.
 
 use super::ground_plane::{RoadPair, RoadProblem, RoadSettings};
+use super::tiles::RoadMask;
 use crate::camera::{Mounting, Pinhole};
 use crate::frame::ImageView;
 use nalgebra::{SMatrix, SVector, Unit, Vector3};
@@ -20,9 +21,9 @@ pub(super) type Vector5 = SVector<f64, 5>;
 
 /// Rows and columns of the strip in one level, and the maps between its pixels and rays.
 pub(super) struct Strip<'a> {
-    later: ImageView<'a>,
+    pub(super) later: ImageView<'a>,
     earlier: ImageView<'a>,
-    camera: Pinhole,
+    pub(super) camera: Pinhole,
 }
 
 impl<'a> Strip<'a> {
@@ -40,6 +41,39 @@ impl<'a> Strip<'a> {
             cy: c.cy * factor,
         };
         Some(Self { later, earlier, camera })
+    }
+
+    /// Height of a row's centre on the plane z = 1.
+    pub(super) fn y_z1(&self, row: usize) -> f64 {
+        (row as f64 + 0.5 - self.camera.cy) / self.camera.fy
+    }
+
+    /// Ray of a pixel's centre, with z = 1.
+    pub(super) fn ray(&self, column: usize, row: usize) -> Vector3<f64> {
+        Vector3::new((column as f64 + 0.5 - self.camera.cx) / self.camera.fx, self.y_z1(row), 1.0)
+    }
+
+    /// Grey value of the later image.
+    pub(super) fn later_at(&self, column: usize, row: usize) -> Option<f64> {
+        (row < self.later.height()).then(|| self.later.row(row).get(column).map(|&grey| f64::from(grey))).flatten()
+    }
+
+    /// Grey value of the earlier image where it sees a point, between the pixels.
+    pub(super) fn earlier_grey(&self, in_earlier: &Vector3<f64>) -> Option<f64> {
+        let c = &self.camera;
+        // Pixel i is centred at i + 0.5.
+        let x = c.fx * in_earlier.x / in_earlier.z + c.cx - 0.5;
+        let y = c.fy * in_earlier.y / in_earlier.z + c.cy - 0.5;
+        let (column, row) = (x as usize, y as usize);
+        if !(x >= 0.0 && y >= 0.0 && row + 1 < self.earlier.height()) {
+            return None;
+        }
+        let upper = self.earlier.row(row).get(column..column + 2)?;
+        let lower = self.earlier.row(row + 1).get(column..column + 2)?;
+        let (fx, fy) = (x - column as f64, y - row as f64);
+        let mix = |pixels: &[u8]| f64::from(pixels[0]) + fx * (f64::from(pixels[1]) - f64::from(pixels[0]));
+        let (above, below) = (mix(upper), mix(lower));
+        Some(above + fy * (below - above))
     }
 }
 
@@ -122,6 +156,7 @@ impl Alignment {
         &mut self,
         strip: &Strip<'_>,
         pair: &RoadPair<'_, '_>,
+        mask: &RoadMask,
         mounting: &Mounting,
         settings: &RoadSettings,
     ) -> Result<(Normal5, Fit), RoadProblem> {
@@ -130,7 +165,8 @@ impl Alignment {
         let mut noise = f64::INFINITY;
         let mut last = None;
         for _ in 0..settings.max_iterations {
-            let (mut hessian, mut gradient, fit) = self.equations(strip, pair, mounting, settings, noise);
+            let (mut hessian, mut gradient, fit) =
+                self.equations(strip, pair, mask, [mounting.height_m, noise], settings);
             if fit.n_pixels < settings.min_pixels {
                 return Err(RoadProblem::TooFewPixels { found: fit.n_pixels, needed: settings.min_pixels });
             }
@@ -179,14 +215,14 @@ impl Alignment {
         }
     }
 
-    /// Normal equations over the strip's pixels. An infinite `noise` weighs all pixels alike.
+    /// Normal equations over the strip's pixels that show the road. An infinite `noise` weighs all pixels alike.
     pub(super) fn equations(
         &self,
         strip: &Strip<'_>,
         pair: &RoadPair<'_, '_>,
-        mounting: &Mounting,
+        mask: &RoadMask,
+        [mounting_height_m, noise]: [f64; 2],
         settings: &RoadSettings,
-        noise: f64,
     ) -> (Normal5, Vector5, Fit) {
         let (mut hessian, mut gradient, mut moments) = (Normal5::zeros(), Vector5::zeros(), Moments::default());
         let rotation = *pair.earlier_from_later.rotation.to_rotation_matrix().matrix();
@@ -194,12 +230,17 @@ impl Alignment {
         let c = &strip.camera;
         let mut n_pixels = 0;
         for row in 0..strip.later.height() {
-            let y = (row as f64 + 0.5 - c.cy) / c.fy;
-            let Some((first, end)) = columns(pair, mounting.height_m, settings, c, y) else { continue };
+            let y = strip.y_z1(row);
+            let Some((first, end)) = columns(pair, mounting_height_m, settings, c, y) else {
+                continue;
+            };
             let pixels = strip.later.row(row);
             let standing = strip.earlier.row(row);
             for (column, &later) in pixels.iter().enumerate().take(end).skip(first) {
                 let ray = Vector3::new((column as f64 + 0.5 - c.cx) / c.fx, y, 1.0);
+                if mask.excludes(ray.x, y) {
+                    continue;
+                }
                 let q = rotation * ray + t * self.plane.dot(&ray);
                 let inverse_z = 1.0 / q.z;
                 let (u, v) = (q.x * inverse_z, q.y * inverse_z);
@@ -229,7 +270,7 @@ impl Alignment {
 }
 
 /// Columns of a row that see the strip, which bends with the motion; `None` for rows above it or too near.
-fn columns(
+pub(super) fn columns(
     pair: &RoadPair<'_, '_>,
     height_m: f64,
     settings: &RoadSettings,

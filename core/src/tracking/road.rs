@@ -4,11 +4,15 @@ use super::RoadPlane;
 use super::tracker::Tracker;
 use crate::conventions::Rigid;
 use crate::pose::RelativePose;
-use crate::scale::{RoadAlignment, RoadPair, ScaleUpdate, align_road, search_road};
+use crate::scale::{RoadAlignment, RoadPair, ScaleUpdate, align_road};
 use nalgebra::{Translation3, Vector3};
 
 /// Lengths of the first step that are searched, m.
 const FIRST_STEP_RANGE_M: [f64; 2] = [0.1, 8.0];
+/// How far a step's length may be off that the speed so far predicts, before there are landmarks.
+const COASTED_RANGE: [f64; 2] = [0.5, 2.0];
+/// Lengths that are tried around one that landmarks tell: how far the scale may drift unseen behind a truck.
+const KNOWN_RANGE: [f64; 2] = [0.75, 1.33];
 
 /// A measurement that keeps this much weight shows the road well enough to learn its normal from.
 const BELIEVED_WEIGHT: f64 = 0.5;
@@ -40,12 +44,12 @@ impl Tracker<'_> {
             expected_height_m: self.mounting.height_m,
         };
         let settings = &self.settings.road;
-        let known_m = (self.motion.prior.is_some() && predicted_m > 0.0).then_some(predicted_m);
-        let start_m = match known_m {
-            Some(length_m) => length_m,
-            None => search_road(pair, FIRST_STEP_RANGE_M, &self.mounting, settings)?,
-        };
-        let found = align_road(&pair(start_m), &self.mounting, settings).ok()?;
+        let is_known = self.motion.prior.is_some() && predicted_m > 0.0;
+        // A step of 1 m sees the road at 1 / length of its height.
+        let [shortest_m, longest_m] = FIRST_STEP_RANGE_M;
+        let (start_m, range) =
+            if is_known { (predicted_m, COASTED_RANGE) } else { (1.0, [1.0 / longest_m, 1.0 / shortest_m]) };
+        let found = align_road(&pair(start_m), range, &self.mounting, settings).ok()?;
         let step_m = start_m * self.mounting.height_m / found.height_m;
         Some(RoadStep { step_m, n_pixels: found.n_pixels })
     }
@@ -63,7 +67,8 @@ impl Tracker<'_> {
         };
         let earlier_from_later = earlier_k.camera_from_world * later_k.camera_from_world.inverse();
         let step_m = earlier_from_later.translation.vector.norm();
-        let drift = self.scale.drive(step_m, &self.settings.scale);
+        let turn_rad = earlier_from_later.rotation.angle();
+        let drift = self.scale.drive(step_m, turn_rad, &self.settings.scale);
         self.drift_at_keyframe.drive(step_m);
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
@@ -73,7 +78,7 @@ impl Tracker<'_> {
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
-        let measured = align_road(&pair, &self.mounting, &self.settings.road);
+        let measured = align_road(&pair, KNOWN_RANGE, &self.mounting, &self.settings.road);
         self.window.rescale(drift, earlier, self.landmarks);
         let Ok(found) = measured else { return nothing };
         let ratio = self.mounting.height_m / found.height_m / drift;

@@ -120,7 +120,7 @@ impl TrackingSettings {
         max_normal_deviation_rad: 0.05,
         road: RoadSettings {
             distance_m: [5.0, 16.0],
-            half_width_m: 1.8,
+            half_width_m: 3.0,
             standing_grey: 2.0,
             bend: 1.0,
             normal_sigma_rad: [0.01, 0.01],
@@ -128,11 +128,13 @@ impl TrackingSettings {
             max_iterations: 15,
             min_pixels: 200,
             min_correlation: 0.6,
+            min_margin: 5.0,
             min_flow_px: 3.0,
         },
         scale: ScaleFilterSettings {
             first_sigma: 1.0,
             drift_per_sqrt_m: 0.002,
+            turn_drift_per_sqrt_rad: 0.04,
             drift_rate_sigma_per_m: 0.0005,
             drift_rate_change_per_m: 0.00002,
             measurement_sigma: 0.03,
