@@ -13,6 +13,7 @@ pub mod input;
 pub mod output;
 pub mod splat;
 pub mod compute;
+pub mod inference;
 pub mod mapping;
 pub mod map_store;
 pub mod export;

@@ -53,6 +53,8 @@ pub struct PlanInput {
     pub mapping: MappingPlan,
     /// What computes the map, and in whose memory.
     pub compute: ComputeMemory,
+    /// Trained networks run beside the tracker.
+    pub has_networks: bool,
 }
 
 /// What computes the map, and in whose memory.
@@ -144,6 +146,7 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::StoreImageQueue => input.pixels() * channels,
         Row::StoreKeyframeTable => bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>()),
         Row::TelemetryFrameRecords => bytes(size_of::<FrameReport>() + size_of::<StageTimes>()),
+        Row::InferenceArena => u64::from(input.has_networks),
         Row::ProcessComputeDriver => u64::from(input.compute != ComputeMemory::Cpu),
         Row::ProcessCodeAndStacks | Row::ProcessCameraChild => 1,
     }
@@ -272,6 +275,7 @@ mod tests {
             color_channels: 3,
             mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: true },
             compute,
+            has_networks: false,
         }
     }
 

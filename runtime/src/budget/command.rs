@@ -3,6 +3,7 @@
 use super::{Budget, MappingPlan, Plan, PlanInput};
 use crate::compute::{BackendChoice, Compute};
 use crate::run_error::RunError;
+use crate::settings::Settings;
 use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -44,7 +45,7 @@ impl PlanCameraArgs {
     ///
     /// # Errors
     /// [`RunError::Device`] when a device was asked for that cannot be had.
-    pub fn plan_input(&self, mapping: MappingPlan) -> Result<PlanInput, RunError> {
+    pub fn plan_input(&self, settings: &Settings) -> Result<PlanInput, RunError> {
         let (width, height) = self.size;
         let compute = Compute::choose(self.backend, self.device)?.memory();
         Ok(PlanInput {
@@ -52,8 +53,9 @@ impl PlanCameraArgs {
             height,
             frame_bytes: u64::from(width) * u64::from(height) * u64::from(self.pixel_bytes),
             color_channels: if self.pixel_bytes == 1 { 1 } else { 3 },
-            mapping,
+            mapping: MappingPlan::of(&settings.mapping.mapper, width),
             compute,
+            has_networks: settings.has_networks(),
         })
     }
 }
@@ -77,9 +79,9 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 ///
 /// # Errors
 /// [`RunError`] for a file or a device that cannot be used, and for a plan above its cap.
-pub fn run(args: &BudgetArgs, mapping: MappingPlan) -> Result<(), RunError> {
+pub fn run(args: &BudgetArgs, settings: &Settings) -> Result<(), RunError> {
     let budget = Budget::load(args.budget.as_deref())?;
-    let plan = Plan::compute(&budget, &args.camera.plan_input(mapping)?);
+    let plan = Plan::compute(&budget, &args.camera.plan_input(settings)?);
     if !args.check {
         println!("{plan}");
     }

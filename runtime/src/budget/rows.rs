@@ -83,6 +83,7 @@ pub enum Row {
     StoreImageQueue,
     StoreKeyframeTable,
     TelemetryFrameRecords,
+    InferenceArena,
     ProcessCodeAndStacks,
     ProcessComputeDriver,
     ProcessCameraChild,
@@ -151,6 +152,7 @@ rows! {
     StoreImageQueue = ["store"."image_queue"], "a keyframe image on its way to the disk, or the encoder's output", HOST, Refuse, 2..=256;
     StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe and a page of the finished map, to judge it", HOST, Refuse, 64..=1 << 24;
     TelemetryFrameRecords = ["telemetry"."frame_records"], "a frame's figures on their way to the log", HOST, Refuse, 8..=1 << 20;
+    InferenceArena = ["inference"."arena"], "a byte of the heap of the inference thread; none without trained networks", HOST, Refuse, 1 << 20..=1 << 36;
     ProcessCodeAndStacks = ["process"."code_and_stacks"], "a byte of code, thread stacks, allocator slack, iceoryx2", HOST, Refuse, 1 << 20..=1 << 32;
     ProcessComputeDriver = ["process"."compute_driver"], "a byte of the compute device's driver; none without a device", HOST, Refuse, 1 << 20..=1 << 32;
     ProcessCameraChild = ["process"."camera_child"], "a byte of the capture process beside the shared frames", HOST, Refuse, 1 << 20..=1 << 32;
@@ -167,7 +169,10 @@ impl Row {
 
     /// The capacity counts bytes, so that a file may say `30 MiB`.
     pub fn counts_bytes(self) -> bool {
-        matches!(self, Self::ProcessCodeAndStacks | Self::ProcessComputeDriver | Self::ProcessCameraChild)
+        matches!(
+            self,
+            Self::InferenceArena | Self::ProcessCodeAndStacks | Self::ProcessComputeDriver | Self::ProcessCameraChild
+        )
     }
 }
 

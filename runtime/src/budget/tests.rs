@@ -11,6 +11,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     color_channels: 3,
     mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: false },
     compute: ComputeMemory::Cpu,
+    has_networks: false,
 };
 
 const FULL_HD: PlanInput = PlanInput { width: 1920, height: 1080, frame_bytes: 1920 * 1080 * 3, ..COLOR_KITTI };
@@ -260,6 +261,15 @@ fn a_window_that_the_rows_do_not_hold_is_refused_by_name() {
     check("map.keyframes", 16, 6, &[]);
     check("map.keyframes", 15, 6, &["[map.keyframes]", "mapping.window = 6", "at least 16"]);
     check("map.keyframes", 512, 48, &["[map.keyframe_images]", "mapping.window = 48", "at least 49"]);
+}
+
+#[test]
+fn trained_networks_fit_the_default_and_cost_nothing_when_none_runs() {
+    let budget = profile("memory_budget.toml");
+    let [without, with] =
+        [false, true].map(|has_networks| Plan::compute(&budget, &PlanInput { has_networks, ..COLOR_KITTI }));
+    assert!(with.check().is_ok(), "{with}");
+    assert_eq!(with.host_bytes() - without.host_bytes(), budget.capacity(Row::InferenceArena) as u64);
 }
 
 #[test]

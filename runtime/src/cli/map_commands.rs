@@ -72,6 +72,7 @@ fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
             trains_depth: false,
         },
         compute: ComputeMemory::Cpu,
+        has_networks: false,
     };
     Capacities {
         gaussians_per_anchor: manifest.gaussians_per_anchor as usize,

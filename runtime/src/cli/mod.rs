@@ -9,7 +9,6 @@ mod run;
 
 pub use common::CommonArgs;
 
-use crate::budget::MappingPlan;
 use crate::run_error::RunError;
 use clap::{Parser, Subcommand};
 use kilogs_camera::cli::CameraArgs;
@@ -84,13 +83,11 @@ pub fn main() -> Result<(), RunError> {
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
             let settings = crate::config::load(&command.config)?;
-            let mapping = MappingPlan::of(&settings.mapping.mapper, command.args.camera.size.0);
-            crate::budget::run(&command.args, mapping)
+            crate::budget::run(&command.args, &settings)
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;
-            let mapping = MappingPlan::of(&settings.mapping.mapper, command.args.camera.size.0);
-            crate::doctor::run(&command.args, mapping).map_err(|e| RunError::Run(e.to_string()))
+            crate::doctor::run(&command.args, &settings).map_err(|e| RunError::Run(e.to_string()))
         }
         Command::Camera(args) => Ok(kilogs_camera::cli::run(args)?),
     }

@@ -19,6 +19,8 @@ pub(super) enum Kind {
     Choice { available: &'static [&'static str], planned: &'static [&'static str], put: fn(&mut Settings, &str) },
     /// True or false; `planned` is the value that is not available in this version.
     Switch { planned: Option<bool>, put: fn(&mut Settings, bool) },
+    /// Any text.
+    Text { put: fn(&mut Settings, &str) },
 }
 
 /// Types of the fields that numbers are put into; the range has made sure that they fit.
@@ -118,6 +120,7 @@ impl Setting {
                     Ok(())
                 }
             },
+            Kind::Text { put } => value.as_str().ok_or_else(|| "not a text".to_owned()).map(|text| put(settings, text)),
         }
     }
 
@@ -132,6 +135,7 @@ impl Setting {
                 all.join(", ")
             }
             Kind::Switch { .. } => "One of true, false".to_owned(),
+            Kind::Text { .. } => "Any text".to_owned(),
         }
     }
 }

@@ -5,6 +5,7 @@ use crate::mapping::MAX_OLDER_VIEWS;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
 use kilogs_core::tracking::{DynamicFilter, PYRAMID_LEVELS, PoseModels};
+use std::time::Duration;
 
 macro_rules! number {
     ($key:literal, $range:expr, $($field:tt)+) => {
@@ -64,11 +65,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     },
     Setting {
         key: "tracking.matcher",
-        kind: Kind::Choice {
-            available: &["classical"],
-            planned: &["xfeat", "disk"],
-            put: |settings, _| settings.tracking.matcher = Matcher::Classical,
-        },
+        kind: Kind::Choice { available: &["classical"], planned: &["xfeat", "disk"], put: put_matcher },
     },
     whole!("tracking.lk_levels", Range::closed(1.0, PYRAMID_LEVELS as f64), tracking.tracker.tracks.lk.n_levels),
     whole!("tracking.lk_max_steps", Range::closed(1.0, 100.0), tracking.tracker.tracks.lk.max_steps),
@@ -208,7 +205,27 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.loss_isotropy", Range::closed(0.0, 100.0), mapping.mapper.step.weights.isotropy),
     number!("mapping.loss_exposure", Range::closed(0.0, 100.0), mapping.mapper.step.weights.exposure),
     switch!("loop_closure.enabled", Some(true), loop_closure.enabled),
+    Setting {
+        key: "inference.models",
+        kind: Kind::Text { put: |settings, text| settings.inference.models = text.into() },
+    },
+    whole!("inference.max_width_px", Range::closed(64.0, 8192.0), inference.max_width_px),
+    Setting {
+        key: "inference.deadline_ms",
+        kind: Kind::Number {
+            range: Range::closed(1.0, 60000.0),
+            put: |settings, ms| settings.inference.deadline = Duration::from_secs_f64(ms / 1e3),
+        },
+    },
 ];
+
+fn put_matcher(settings: &mut Settings, word: &str) {
+    settings.tracking.matcher = match word {
+        "xfeat" => Matcher::XFeat,
+        "disk" => Matcher::Disk,
+        _ => Matcher::Classical,
+    };
+}
 
 fn put_pose_models(settings: &mut Settings, word: &str) {
     settings.tracking.tracker.pose_models = match word {

@@ -149,7 +149,7 @@ fn changed_lines(setting: &Setting) -> Vec<usize> {
     let values = match &setting.kind {
         Kind::Number { .. } => (0..160).map(|i| toml::Value::Float(0.0007 * 1.1_f64.powi(i))).collect::<Vec<_>>(),
         Kind::Whole { .. } => (1..1000).map(toml::Value::Integer).collect(),
-        Kind::Choice { .. } | Kind::Switch { .. } => return Vec::new(),
+        Kind::Choice { .. } | Kind::Switch { .. } | Kind::Text { .. } => return Vec::new(),
     };
     let measured = Settings::measured();
     let changed = values.iter().find_map(|value| {

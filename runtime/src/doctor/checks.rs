@@ -3,6 +3,8 @@
 use super::Finding;
 use crate::budget::{HumanBytes, Plan};
 use crate::compute;
+use crate::inference::{Manifest, ModelRow};
+use crate::settings::Settings;
 use crate::splat::cpu::SimdLevel;
 use crate::splat::vulkan::{DeviceInfo, list_devices};
 
@@ -99,8 +101,22 @@ pub(super) fn vulkan() -> Vec<Finding> {
     devices.iter().map(found).collect()
 }
 
-pub(super) fn models() -> Finding {
-    Finding::fine("models", "none needed: this version has no learned matcher and no depth network".to_owned())
+/// A line per network: its file is there and what the manifest says. What is not shipped has to be mended only where the
+/// settings want it.
+pub(super) fn models(settings: &Settings) -> Vec<Finding> {
+    let subject = "models";
+    let needed = settings.tracking.matcher.roles();
+    let manifest = match Manifest::find(&settings.inference.models) {
+        Ok(manifest) => manifest,
+        Err(error) if needed.is_empty() => return vec![Finding::fine(subject, format!("none, none needed ({error})"))],
+        Err(error) => return vec![Finding::mend(subject, "none found".to_owned(), error.to_string())],
+    };
+    let found = |row: &ModelRow| match manifest.check(row) {
+        Ok(()) => Finding::fine(subject, format!("{} ({}, {})", row.name, row.role, row.licence)),
+        Err(error) if needed.contains(&row.role) => Finding::mend(subject, row.name.clone(), error.to_string()),
+        Err(error) => Finding::fine(subject, format!("{} is not used and cannot be: {error}", row.name)),
+    };
+    manifest.rows().iter().map(found).collect()
 }
 
 #[cfg(test)]

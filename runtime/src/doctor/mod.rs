@@ -2,7 +2,8 @@
 
 mod checks;
 
-use crate::budget::{Budget, MappingPlan, Plan, PlanCameraArgs};
+use crate::budget::{Budget, Plan, PlanCameraArgs};
+use crate::settings::Settings;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -59,10 +60,10 @@ pub struct NotReady {
 }
 
 /// Looks at everything a run needs.
-pub fn examine(args: &DoctorArgs, mapping: MappingPlan) -> Vec<Finding> {
+pub fn examine(args: &DoctorArgs, settings: &Settings) -> Vec<Finding> {
     let mut findings = vec![checks::cores(), checks::simd()];
     match Budget::load(args.budget.as_deref()) {
-        Ok(budget) => match args.camera.plan_input(mapping) {
+        Ok(budget) => match args.camera.plan_input(settings) {
             Ok(input) => {
                 let plan = Plan::compute(&budget, &input);
                 findings.push(checks::shared_memory(plan.ipc_bytes()));
@@ -74,7 +75,7 @@ pub fn examine(args: &DoctorArgs, mapping: MappingPlan) -> Vec<Finding> {
         Err(error) => findings.push(Finding::mend("budget", "cannot be used".to_owned(), error.to_string())),
     }
     findings.extend(checks::vulkan());
-    findings.push(checks::models());
+    findings.extend(checks::models(settings));
     findings
 }
 
@@ -82,8 +83,8 @@ pub fn examine(args: &DoctorArgs, mapping: MappingPlan) -> Vec<Finding> {
 ///
 /// # Errors
 /// [`NotReady`] when something has to be mended.
-pub fn run(args: &DoctorArgs, mapping: MappingPlan) -> Result<(), NotReady> {
-    let findings = examine(args, mapping);
+pub fn run(args: &DoctorArgs, settings: &Settings) -> Result<(), NotReady> {
+    let findings = examine(args, settings);
     for finding in &findings {
         println!("{finding}");
     }
@@ -104,11 +105,7 @@ mod tests {
     }
 
     fn subjects_to_mend(args: &DoctorArgs) -> Vec<&'static str> {
-        examine(args, MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: false })
-            .into_iter()
-            .filter(|f| f.advice.is_some())
-            .map(|f| f.subject)
-            .collect()
+        examine(args, &Settings::measured()).into_iter().filter(|f| f.advice.is_some()).map(|f| f.subject).collect()
     }
 
     #[test]

@@ -119,7 +119,7 @@ impl RunPlan {
         let compute = args.compute()?;
         let mapper = &settings.mapping.mapper;
         let mapping = MappingPlan { resolution: training_resolution, ..MappingPlan::of(mapper, format.camera.width) };
-        let memory_input = plan_input(&format, mapping, compute.memory());
+        let memory_input = plan_input(&format, mapping, compute.memory(), settings.has_networks());
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
@@ -190,7 +190,7 @@ fn mapping_settings(args: &CommonArgs, format: &SourceFormat) -> Result<Settings
     Ok(settings)
 }
 
-fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemory) -> PlanInput {
+fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemory, has_networks: bool) -> PlanInput {
     PlanInput {
         width: format.camera.width,
         height: format.camera.height,
@@ -198,6 +198,7 @@ fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemor
         color_channels: if format.pixel_format == PixelFormat::Mono8 { 1 } else { 3 },
         mapping,
         compute,
+        has_networks,
     }
 }
 

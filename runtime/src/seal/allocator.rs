@@ -25,11 +25,21 @@ pub(super) struct ThreadTag {
     pub(super) is_sealed: Cell<bool>,
     pub(super) allocations: Cell<u64>,
     pub(super) frees: Cell<u64>,
+    /// Bytes that the thread took and did not give back; below 0 where it gave back what others took.
+    pub(super) live_bytes: Cell<isize>,
+    pub(super) peak_bytes: Cell<isize>,
 }
 
 thread_local! {
-    pub(super) static TAG: ThreadTag =
-        const { ThreadTag { is_sealed: Cell::new(false), allocations: Cell::new(0), frees: Cell::new(0) } };
+    pub(super) static TAG: ThreadTag = const {
+        ThreadTag {
+            is_sealed: Cell::new(false),
+            allocations: Cell::new(0),
+            frees: Cell::new(0),
+            live_bytes: Cell::new(0),
+            peak_bytes: Cell::new(0),
+        }
+    };
 }
 
 // SAFETY: every method hands its arguments on to `System` unchanged and returns what `System` returns; the counting
@@ -87,7 +97,13 @@ unsafe fn touched(block: *mut u8, first_new: usize, n_bytes: usize) -> *mut u8 {
 fn count_allocation(bytes: usize) {
     let live = LIVE_BYTES.fetch_add(bytes, Relaxed).wrapping_add(bytes);
     PEAK_BYTES.fetch_max(live, Relaxed);
-    on_sealed_thread(|tag| {
+    on_this_thread(|tag| {
+        let live = tag.live_bytes.get().saturating_add_unsigned(bytes);
+        tag.live_bytes.set(live);
+        tag.peak_bytes.set(tag.peak_bytes.get().max(live));
+        if !tag.is_sealed.get() {
+            return;
+        }
         tag.allocations.set(tag.allocations.get() + 1);
         SEALED_ALLOCATIONS.fetch_add(1, Relaxed);
         SEALED_BYTES.fetch_add(bytes as u64, Relaxed);
@@ -99,19 +115,18 @@ fn count_allocation(bytes: usize) {
 
 fn count_free(bytes: usize) {
     LIVE_BYTES.fetch_sub(bytes, Relaxed);
-    on_sealed_thread(|tag| {
-        tag.frees.set(tag.frees.get() + 1);
-        SEALED_FREES.fetch_add(1, Relaxed);
+    on_this_thread(|tag| {
+        tag.live_bytes.set(tag.live_bytes.get().saturating_sub_unsigned(bytes));
+        if tag.is_sealed.get() {
+            tag.frees.set(tag.frees.get() + 1);
+            SEALED_FREES.fetch_add(1, Relaxed);
+        }
     });
 }
 
-fn on_sealed_thread(count: impl FnOnce(&ThreadTag)) {
+fn on_this_thread(count: impl FnOnce(&ThreadTag)) {
     // A thread that is being torn down has no tag any more, and no seal either.
-    let _ = TAG.try_with(|tag| {
-        if tag.is_sealed.get() {
-            count(tag);
-        }
-    });
+    let _ = TAG.try_with(count);
 }
 
 /// Prints where a sealed thread allocated; printing allocates too, so the seal is lifted meanwhile.

@@ -38,6 +38,27 @@ pub fn report() -> SealReport {
     }
 }
 
+/// What the calling thread has taken from the heap and not given back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ThreadHeap {
+    /// Bytes in use now. A thread that frees what another took counts that as given back.
+    pub live_bytes: u64,
+    /// The most that was in use since the thread began, or since [`restart_thread_peak`].
+    pub peak_bytes: u64,
+}
+
+/// The calling thread's heap: the domain of a thread that keeps what it takes to itself. All zero unless the binary
+/// installs [`CountingAllocator`].
+pub fn thread_heap() -> ThreadHeap {
+    let bytes = |count: isize| u64::try_from(count).unwrap_or(0);
+    TAG.with(|tag| ThreadHeap { live_bytes: bytes(tag.live_bytes.get()), peak_bytes: bytes(tag.peak_bytes.get()) })
+}
+
+/// Forgets the calling thread's peak: it is what is in use now.
+pub fn restart_thread_peak() {
+    TAG.with(|tag| tag.peak_bytes.set(tag.live_bytes.get()));
+}
+
 /// From now on, large blocks are resident as soon as they are allocated: a pool that is touched bit by bit while the
 /// vehicle drives would look like a leak, and might find no memory when it is needed.
 pub fn prefault_pools() {
@@ -172,6 +193,25 @@ mod tests {
         };
         assert!(grown_by(grown_pool) > BLOCK as u64 / 2, "a pool that was reserved later");
         PREFAULT.store(false, Relaxed);
+    }
+
+    #[test]
+    fn a_thread_knows_its_own_heap() {
+        let of_thread = || {
+            let others = std::thread::spawn(|| black_box(vec![1_u8; 1 << 20]).len());
+            let before = thread_heap();
+            let block = black_box(vec![1_u8; 3 << 20]);
+            let during = thread_heap();
+            drop(block);
+            let after = thread_heap();
+            restart_thread_peak();
+            assert!(others.join().is_ok());
+            (during.live_bytes - before.live_bytes, after, thread_heap().peak_bytes)
+        };
+        let (taken, after, peak_again) = std::thread::spawn(of_thread).join().expect("no panic");
+        assert_eq!(taken, 3 << 20);
+        assert!(after.peak_bytes >= 3 << 20 && after.live_bytes < 1 << 20, "{after:?}");
+        assert!(peak_again < 1 << 20, "{peak_again}");
     }
 
     #[test]

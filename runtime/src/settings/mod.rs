@@ -2,8 +2,11 @@
 //!
 //! There is no `Default`: the defaults are the built-in `config/default.toml`, read by [`config::load`](crate::config::load).
 
+use crate::inference::Role;
 use crate::mapping::MapperSettings;
 use kilogs_core::tracking::TrackingSettings as TrackerSettings;
+use std::path::PathBuf;
+use std::time::Duration;
 
 /// Everything that changes results and is not a capacity.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +18,8 @@ pub struct Settings {
     pub mapping: MappingSettings,
     /// Places seen before.
     pub loop_closure: LoopClosureSettings,
+    /// Trained networks.
+    pub inference: InferenceSettings,
 }
 
 /// From images to poses.
@@ -47,12 +52,38 @@ pub struct LoopClosureSettings {
     pub enabled: bool,
 }
 
+/// Trained networks.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct InferenceSettings {
+    /// Folder with a `manifest.toml`; where it is empty, the usual places are searched.
+    pub models: PathBuf,
+    /// Networks with wider images are not used, px.
+    pub max_width_px: usize,
+    /// How long an answer may take when the camera sets the pace.
+    pub deadline: Duration,
+}
+
 /// Where correspondences come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Matcher {
     /// Optical flow.
     Classical,
+    /// XFeat keypoints, matched by LighterGlue.
+    XFeat,
+    /// DISK keypoints, matched by LightGlue.
+    Disk,
+}
+
+impl Matcher {
+    /// The networks that it needs: one that finds features and one that matches them; none for the classical one.
+    pub fn roles(self) -> &'static [Role] {
+        match self {
+            Self::Classical => &[],
+            Self::XFeat => &[Role::XfeatFeatures, Role::XfeatMatcher],
+            Self::Disk => &[Role::DiskFeatures, Role::DiskMatcher],
+        }
+    }
 }
 
 impl Settings {
@@ -66,7 +97,17 @@ impl Settings {
             },
             mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
             loop_closure: LoopClosureSettings { enabled: false },
+            inference: InferenceSettings {
+                models: PathBuf::new(),
+                max_width_px: 1248,
+                deadline: Duration::from_millis(1000),
+            },
         }
+    }
+
+    /// Trained networks run beside the tracker.
+    pub fn has_networks(&self) -> bool {
+        self.tracking.matcher != Matcher::Classical
     }
 
     /// Two settings that contradict each other: the key to change, and what is wrong.
