@@ -137,10 +137,11 @@ impl Tracker<'_> {
             return FramePose { status: FrameStatus::Lost, reason, ..FramePose::predicted(&moment.predicted) };
         }
         let is_still = f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still();
-        if has_tracks && is_still {
-            if let (standing, true) = self.verified(self.standing(), moment.timestamp_ns) {
-                return standing;
-            }
+        if has_tracks
+            && is_still
+            && let (standing, true) = self.verified(self.standing(), moment.timestamp_ns)
+        {
+            return standing;
         }
         let (mut weak, mut refused): (Option<FramePose>, _) = (None, None);
         for source in [MatchSource::Tracks, MatchSource::Sparse, MatchSource::Dense] {
@@ -148,9 +149,10 @@ impl Tracker<'_> {
                 continue;
             }
             match self.solve(moment, source) {
-                Ok(pose) if pose.n_inliers >= self.settings.enough_inliers => return pose,
-                Ok(pose) => weak = weak.filter(|w| w.n_inliers >= pose.n_inliers).or(Some(pose)),
-                Err(figures) => refused = refused.or(figures),
+                Some((pose, true)) if pose.n_inliers >= self.settings.enough_inliers => return pose,
+                Some((pose, true)) => weak = weak.filter(|w| w.n_inliers >= pose.n_inliers).or(Some(pose)),
+                Some((pose, false)) => refused = refused.or(Some(pose)),
+                None => {}
             }
         }
         if let Some(pose) = weak {
@@ -166,30 +168,25 @@ impl Tracker<'_> {
         }
     }
 
-    /// A pose from the live tracks that is believed; else the first one that was refused, if there was any.
-    fn solve(&mut self, moment: &Moment, source: MatchSource) -> Result<FramePose, Option<FramePose>> {
+    /// A pose from the live tracks, and whether it is believed; the first refused one when none is.
+    fn solve(&mut self, moment: &Moment, source: MatchSource) -> Option<(FramePose, bool)> {
         if self.tracks.tracks().len() < self.settings.min_inliers {
-            return Err(None);
+            return None;
         }
         let noise_px = self.settings.noise_px_of(source);
-        let mut refused = None;
-        if self.is_started && self.settings.pose_models != PoseModels::Essential {
-            let pose = self.pnp_pose(moment, noise_px).map(|p| self.verified(p, moment.timestamp_ns));
-            match pose {
-                Some((pose, true)) => return Ok(pose.of_source(source)),
-                Some((pose, false)) => refused = Some(pose),
-                None => {}
-            }
+        let models = self.settings.pose_models;
+        let by_landmarks = (self.is_started && models != PoseModels::Essential)
+            .then(|| self.pnp_pose(moment, noise_px))
+            .flatten()
+            .map(|pose| self.verified(pose.of_source(source), moment.timestamp_ns));
+        if matches!(by_landmarks, Some((_, true))) {
+            return by_landmarks;
         }
-        if !self.is_started || self.settings.pose_models != PoseModels::Pnp {
-            let pose = self.essential_pose(moment, noise_px).map(|p| self.verified(p, moment.timestamp_ns));
-            match pose {
-                Some((pose, true)) => return Ok(pose.of_source(source)),
-                Some((pose, false)) => refused = refused.or(Some(pose)),
-                None => {}
-            }
-        }
-        Err(refused)
+        let by_epipolar_lines = (!self.is_started || models != PoseModels::Pnp)
+            .then(|| self.essential_pose(moment, noise_px))
+            .flatten()
+            .map(|pose| self.verified(pose.of_source(source), moment.timestamp_ns));
+        by_epipolar_lines.filter(|(_, is_believed)| *is_believed).or(by_landmarks).or(by_epipolar_lines)
     }
 
     /// Judges the step from the last frame: the pose with the verdict's figures, and whether it is believed.

@@ -121,6 +121,7 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::TrackingTracks => bytes(BYTES_PER_TRACK),
         Row::TrackingLandmarks => bytes(BYTES_PER_LANDMARK),
         Row::TrackingKeyframes => bytes((size_of::<KeyframeWindow>() + size_of::<ReducedSystem>()).div_ceil(WINDOW)),
+        Row::TrackingDenseMatchers => bytes(budget.dense_capacities(input).bytes()),
         Row::PipelineKeyframeQueue => {
             input.frame_bytes
                 + bytes(size_of::<FrameReport>() + capacity(Row::TrackingTracks) * size_of::<KeyframePoint>())

@@ -8,6 +8,7 @@ use crate::mapping::MapperCapacity;
 use crate::mapping::capacity::chunk_file_bytes;
 use crate::splat::Capacities;
 use kilogs_camera::ipc::FrameSlots;
+use kilogs_core::correspondence::DenseCapacities;
 use kilogs_core::store::page_file_bytes;
 use kilogs_core::tracking::TrackerCapacities;
 
@@ -25,6 +26,11 @@ impl Budget {
             tracks: self.capacity(Row::TrackingTracks),
             landmarks: self.capacity(Row::TrackingLandmarks),
         }
+    }
+
+    /// Images of the dense matcher.
+    pub fn dense_capacities(&self, input: &PlanInput) -> DenseCapacities {
+        DenseCapacities { width: input.width as usize, height: input.height as usize }
     }
 
     /// Anchors and images of the mapper.

@@ -64,6 +64,7 @@ pub enum Row {
     TrackingTracks,
     TrackingLandmarks,
     TrackingKeyframes,
+    TrackingDenseMatchers,
     PipelineKeyframeQueue,
     MapAnchors,
     MapGaussiansPerAnchor,
@@ -133,6 +134,7 @@ rows! {
     TrackingTracks = ["tracking"."tracks"], "a point followed from frame to frame, its match and its scratch", HOST, Refuse, 64..=1 << 16;
     TrackingLandmarks = ["tracking"."landmarks"], "a point of the window and where it was seen", HOST, Refuse, 64..=1 << 18;
     TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window and its part of the bundle adjustment", HOST, OverwriteOldest, 8..=8;
+    TrackingDenseMatchers = ["tracking"."dense_matchers"], "the work space of dense matching", HOST, Refuse, 1..=1;
     PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;
     MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers, feature and their moments", BACKEND, Refuse, 64..=1 << 24;
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;

@@ -50,8 +50,8 @@ pub(super) const SETTINGS: &[Setting] = &[
     Setting {
         key: "tracking.dense_fallback",
         kind: Kind::Choice {
-            available: &["off"],
-            planned: &["on"],
+            available: &["off", "on"],
+            planned: &[],
             put: |settings, word| settings.tracking.dense_fallback = word == "on",
         },
     },

@@ -53,7 +53,7 @@ fn a_bad_setting_names_key_value_range_and_origin() {
     check(None, &["mapping.enabled=maybe"], &["mapping.enabled", "neither true nor false"]);
     check(None, &["tracking.matcher=orb"], &["tracking.matcher", "orb", "not a choice", "classical"]);
     check(None, &["tracking.matcher=xfeat"], &["xfeat", "not available in this version", "classical"]);
-    check(None, &["tracking.dense_fallback=on"], &["not available in this version", "write off"]);
+    check(None, &["tracking.dense_fallback=maybe"], &["maybe", "not a choice", "on"]);
     check(
         None,
         &["loop_closure.enabled=true"],

@@ -1,5 +1,6 @@
 //! Takes the memory of a run from its budget, once.
 
+use super::matchers::kept;
 use super::plan::RunPlan;
 use crate::budget::Row;
 use crate::map_store::{DEFAULT_JPEG_QUALITY, StoreSettings, WhenBusy};
@@ -99,7 +100,3 @@ pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
 
 /// A place for a point of a keyframe.
 const NO_POINT: KeyframePoint = KeyframePoint { pixel: [0.0; 2], depth_m: 0.0, relative_sigma: 0.0 };
-
-fn kept<T: Clone>(empty: T, n: usize) -> &'static mut [T] {
-    vec![empty; n].leak()
-}

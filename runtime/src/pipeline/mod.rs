@@ -13,6 +13,7 @@ mod finish;
 mod given_poses;
 mod mapper_link;
 mod mapping_thread;
+mod matchers;
 mod memory;
 mod odometry;
 mod plan;

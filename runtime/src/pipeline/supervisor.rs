@@ -2,6 +2,7 @@
 
 use super::finish::{self, Concluded};
 use super::mapping_thread::{self, MappingProgress};
+use super::matchers::Matchers;
 use super::plan::RunPlan;
 use super::queue::{self, Received, Receiver};
 use super::record::Record;
@@ -59,6 +60,7 @@ pub fn supervise(
 
     let (records, incoming) = queue::queue(plan.budget.capacity(Row::TelemetryFrameRecords));
     let tracker = memory::tracker(plan)?;
+    let matchers = Matchers::open(plan)?;
     let progress = Arc::new(MappingProgress::default());
     let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
@@ -72,7 +74,8 @@ pub fn supervise(
     let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;
     check_slots(&settings, input.slots())?;
     let (odometry, poses) = queue::queue(odometry::CAPACITY);
-    let tracking = TrackingThread { plan, tracker, mapper: mapper_link, records, odometry, usage: &usage, stop: &stop };
+    let tracking =
+        TrackingThread { plan, tracker, matchers, mapper: mapper_link, records, odometry, usage: &usage, stop: &stop };
 
     let (mut told, tracked, mapped) = std::thread::scope(|scope| {
         let _ending = StopWhenDropped(&stop);

@@ -3,6 +3,7 @@
 use super::camera_image::CameraImage;
 use super::given_poses::GivenPoses;
 use super::mapper_link::MapperLink;
+use super::matchers::Matchers;
 use super::plan::RunPlan;
 use super::queue::Sender;
 use super::record::Record;
@@ -28,6 +29,8 @@ pub struct TrackingThread<'run> {
     pub plan: &'run RunPlan,
     /// The calculator, on memory taken at the start.
     pub tracker: Tracker<'static>,
+    /// What it asks when tracks break.
+    pub matchers: Matchers,
     /// Where keyframes go.
     pub mapper: Option<MapperLink>,
     /// Where records go.
@@ -115,7 +118,8 @@ impl TrackingThread<'_> {
             let needed_bytes = (image.stride_bytes * image.size.1) as u64;
             return self.tell(Record::Refused(HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes }));
         };
-        let mut report = self.tracker.step(gray, frame_index, frame.timestamp_ns());
+        let mut aids = self.matchers.aids();
+        let mut report = self.tracker.step_aided(gray, frame_index, frame.timestamp_ns(), &mut aids);
         if let Some(given_poses) = &mut state.given_poses {
             given_poses.replace(&mut report);
         }
@@ -140,6 +144,7 @@ impl TrackingThread<'_> {
         ] {
             self.usage.observe(row, n);
         }
+        self.matchers.observe(self.usage);
     }
 
     fn hand_to_mapper(

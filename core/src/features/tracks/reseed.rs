@@ -40,7 +40,7 @@ impl TrackTable<'_> {
     ) -> ReseedReport {
         let mut report = ReseedReport::default();
         let evidence = Evidence { simd, images, settings };
-        let reach_px = settings.corners.cell_px as f32;
+        let reach_px = settings.corners.cell_px;
         self.n_live = 0;
         for place in 0..self.n_at_keyframe {
             let Some(&track) = self.storage.at_keyframe.get(place) else { break };
