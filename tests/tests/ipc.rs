@@ -34,7 +34,13 @@ fn open(purpose: &str) -> (FrameInput, String) {
 
 fn open_at(service: String) -> (FrameInput, String) {
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: None };
-    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT, is_recorded: false };
+    let settings = InputSettings {
+        service: service.clone(),
+        format,
+        slots: FrameSlots::DEFAULT,
+        is_recorded: false,
+        speed_readings: 64,
+    };
     (FrameInput::open(&settings).expect("shared memory"), service)
 }
 

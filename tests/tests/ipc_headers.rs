@@ -47,7 +47,13 @@ fn open(purpose: &str) -> (FrameInput, String) {
 
 fn open_at(service: &str, is_recorded: bool) -> FrameInput {
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: Some(PixelFormat::Mono8) };
-    let settings = InputSettings { service: service.to_owned(), format, slots: FrameSlots::DEFAULT, is_recorded };
+    let settings = InputSettings {
+        service: service.to_owned(),
+        format,
+        slots: FrameSlots::DEFAULT,
+        is_recorded,
+        speed_readings: 64,
+    };
     FrameInput::open(&settings).expect("shared memory")
 }
 

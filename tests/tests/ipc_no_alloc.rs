@@ -33,9 +33,17 @@ fn acts_as_camera() {
 #[test]
 fn a_frame_from_camera_to_acknowledgement_allocates_nothing() {
     let recording = grey_recording(N_FRAMES);
+    let wheels: String = (0..6 * N_FRAMES).map(|i| format!("{:.3} 5 0.1\n", i as f64 / 50.0)).collect();
+    std::fs::write(recording.path().join("speed.txt"), wheels).expect("a temporary file");
     let service = unique_service_name("no-alloc");
     let format = ServiceFormat { width: SIZE[0], height: SIZE[1], pixel_format: None };
-    let settings = InputSettings { service: service.clone(), format, slots: FrameSlots::DEFAULT, is_recorded: false };
+    let settings = InputSettings {
+        service: service.clone(),
+        format,
+        slots: FrameSlots::DEFAULT,
+        is_recorded: false,
+        speed_readings: 64,
+    };
     let mut input = FrameInput::open(&settings).expect("shared memory");
     let dataset = recording.path().display().to_string();
     let arguments = ["folder", &dataset, "--service", &service, "--quiet"];
@@ -45,6 +53,9 @@ fn a_frame_from_camera_to_acknowledgement_allocates_nothing() {
     loop {
         match input.wait(PATIENCE).expect("shared memory") {
             InputEvent::Frame(frame) => {
+                let now_ns = frame.timestamp_ns();
+                let way = frame.speeds().between(now_ns.saturating_sub(100_000_000), now_ns);
+                assert_eq!(way.is_some(), frame.header().sequence > 0, "the ring has 64 readings, six per frame");
                 sum += frame.pixels().iter().map(|&value| u64::from(value)).sum::<u64>();
                 if frame.header().sequence == WARM_UP_FRAMES {
                     sealed = Some(seal::enter());

@@ -7,6 +7,7 @@ use crate::splat::cpu::CpuBackend;
 use crate::splat::device::{HostCopy, arena_bytes};
 use crate::splat::program::buffer_plan;
 use crate::splat::{Capacities, MemoryRow};
+use kilogs_camera::ipc::Speed;
 use kilogs_core::bundle::ReducedSystem;
 use kilogs_core::camera::Pinhole;
 use kilogs_core::keyframe::{KeyframeWindow, WINDOW};
@@ -122,6 +123,7 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::TrackingLandmarks => bytes(BYTES_PER_LANDMARK),
         Row::TrackingKeyframes => bytes((size_of::<KeyframeWindow>() + size_of::<ReducedSystem>()).div_ceil(WINDOW)),
         Row::TrackingDenseMatchers => bytes(budget.dense_capacities(input).bytes()),
+        Row::TrackingSpeedReadings => bytes(size_of::<Speed>()),
         Row::PipelineKeyframeQueue => {
             input.frame_bytes
                 + bytes(size_of::<FrameReport>() + capacity(Row::TrackingTracks) * size_of::<KeyframePoint>())

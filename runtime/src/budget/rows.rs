@@ -65,6 +65,7 @@ pub enum Row {
     TrackingLandmarks,
     TrackingKeyframes,
     TrackingDenseMatchers,
+    TrackingSpeedReadings,
     PipelineKeyframeQueue,
     MapAnchors,
     MapGaussiansPerAnchor,
@@ -135,6 +136,7 @@ rows! {
     TrackingLandmarks = ["tracking"."landmarks"], "a point of the window and where it was seen", HOST, Refuse, 64..=1 << 18;
     TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window and its part of the bundle adjustment", HOST, OverwriteOldest, 8..=8;
     TrackingDenseMatchers = ["tracking"."dense_matchers"], "the work space of dense matching", HOST, Refuse, 1..=1;
+    TrackingSpeedReadings = ["tracking"."speed_readings"], "a reading of the vehicle's speed", HOST, OverwriteOldest, 16..=1 << 16;
     PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;
     MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers, feature and their moments", BACKEND, Refuse, 64..=1 << 24;
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;

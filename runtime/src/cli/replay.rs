@@ -7,7 +7,7 @@ use crate::pipeline::{self, GivenPosesPlan, Pace, RunPlan};
 use crate::pose_file::PoseFile;
 use crate::run_error::RunError;
 use kilogs_camera::cli::{CameraError, parse_rate};
-use kilogs_camera::source::{CameraDescription, DegradeArgs, PlaybackRange, Schedule};
+use kilogs_camera::source::{CameraDescription, DegradeArgs, PlaybackRange, Schedule, SpeedFile};
 use std::path::{Path, PathBuf};
 
 /// Mapping iterations per keyframe in lock-step, unless told otherwise.
@@ -31,6 +31,10 @@ pub struct ReplayArgs {
     /// Frames per second, where times.txt is missing.
     #[arg(long)]
     pub fps: Option<f64>,
+    /// Wheel speed, `t_seconds metres_per_second sigma` on a line, on the clock of the frames; the default is speed.txt in
+    /// the folder, where there is one.
+    #[arg(long, value_name = "FILE")]
+    pub speed: Option<PathBuf>,
     /// Play at recorded speed and drop what is late, instead of lock-step.
     #[arg(long, conflicts_with_all = ["deterministic", "iterations"])]
     pub live: bool,
@@ -78,6 +82,8 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
     let schedule = Schedule::new(description.images.len() as u64, &range)?;
     plan.n_frames = Some(schedule.n_steps());
     args.degrade.check(plan.n_frames)?;
+    // The capture process opens it again; its problems are better told here.
+    SpeedFile::of_recording(&args.dataset, args.speed.as_deref(), args.ping_pong)?;
     plan.given_poses = args.poses.as_deref().map(|poses| given_poses(poses, schedule, &description)).transpose()?;
     // The capture process has a list of its own.
     drop(description);
@@ -116,6 +122,9 @@ fn camera_arguments(args: &ReplayArgs, service: &str) -> Vec<String> {
     }
     if let Some(fps) = args.fps {
         option("--fps", fps.to_string());
+    }
+    if let Some(speed) = &args.speed {
+        option("--speed", speed.display().to_string());
     }
     if let Some(frames) = args.frames {
         option("--frames", frames.to_string());

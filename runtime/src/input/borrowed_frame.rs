@@ -6,6 +6,7 @@ use kilogs_core::conventions::TimestampNs;
 use kilogs_core::frame::{ImageTooShort, ImageView, PixelFormat};
 use zerocopy::IntoBytes;
 
+use super::SpeedRing;
 use super::camera_link::CameraLink;
 
 /// One frame in the shared memory. Dropping it acknowledges it and gives the slot back.
@@ -15,6 +16,7 @@ pub struct BorrowedFrame<'input> {
     pub(super) timestamp_ns: TimestampNs,
     pub(super) frame_index: u64,
     pub(super) link: &'input CameraLink,
+    pub(super) speeds: &'input SpeedRing,
 }
 
 impl BorrowedFrame<'_> {
@@ -32,6 +34,12 @@ impl BorrowedFrame<'_> {
     /// the header's sequence number, counted from the first frame where the camera was there before the tracker.
     pub fn frame_index(&self) -> u64 {
         self.frame_index
+    }
+
+    /// What the wheels said up to this frame, on the clock of [`BorrowedFrame::timestamp_ns`]. What was published before
+    /// the frame is in it.
+    pub fn speeds(&self) -> &SpeedRing {
+        self.speeds
     }
 
     /// How the pixels are to be read.

@@ -16,6 +16,7 @@ use zerocopy::IntoBytes;
 
 use super::camera_link::CameraLink;
 use super::session::{Judgement, Session};
+use super::speed_input::SpeedInput;
 use super::{BorrowedFrame, CameraState, InputCounts, InputError};
 use crate::seal;
 
@@ -33,6 +34,8 @@ pub struct InputSettings {
     pub slots: FrameSlots,
     /// Times are those of a recording: a long pause in them is a pause, and no clock that was set.
     pub is_recorded: bool,
+    /// Speed readings of the vehicle that are kept.
+    pub speed_readings: usize,
 }
 
 /// What came of waiting.
@@ -88,6 +91,7 @@ pub struct FrameInput {
     subscriber: Subscriber<Ipc, [FramePage], FrameHeader>,
     listener: Listener<Ipc>,
     frames: FrameService,
+    speeds: SpeedInput,
     link: CameraLink,
     _node: IpcNode,
 }
@@ -120,6 +124,7 @@ impl FrameInput {
         let listener = frame_events.listener_builder().create().map_err(|e| failed(&e))?;
         let subscriber = frames.subscriber_builder().create().map_err(|e| failed(&e))?;
         let was_there_first = frames.dynamic_config().number_of_publishers() > 0;
+        let speeds = SpeedInput::open(&node, service, settings.speed_readings)?;
         // Last, because it wakes a waiting camera, which then sends.
         let link = CameraLink::start(service)?;
         Ok(Self {
@@ -139,6 +144,7 @@ impl FrameInput {
             subscriber,
             listener,
             frames,
+            speeds,
             link,
             _node: node,
         })
@@ -228,7 +234,9 @@ impl FrameInput {
         let sent_bytes = sample.payload().as_bytes().len() as u64;
         match self.judge(&header, sample.header().publisher_id(), sent_bytes) {
             Judged::Frame { pixel_format, timestamp_ns, frame_index } => {
-                InputEvent::Frame(BorrowedFrame { sample, pixel_format, timestamp_ns, frame_index, link: &self.link })
+                self.speeds.drain(timestamp_ns.wrapping_sub(header.timestamp_ns));
+                let (link, speeds) = (&self.link, self.speeds.ring());
+                InputEvent::Frame(BorrowedFrame { sample, pixel_format, timestamp_ns, frame_index, link, speeds })
             }
             Judged::End => InputEvent::End,
             Judged::Refused(verdict) => {

@@ -7,6 +7,8 @@ mod counts;
 mod frame_input;
 mod mapping;
 mod session;
+mod speed_input;
+mod speed_ring;
 
 pub use borrowed_frame::BorrowedFrame;
 pub use camera_child::CameraChild;
@@ -14,6 +16,7 @@ pub use counts::{CameraState, InputCounts};
 pub use frame_input::{FrameInput, InputEvent, InputSettings};
 pub use kilogs_camera::ipc::{FrameSlots, HeaderVerdict, ServiceFormat, unique_service_name};
 pub use mapping::SharedMapping;
+pub use speed_ring::{Distance, MAX_GAP_NS, SpeedRing};
 
 /// Why frames cannot come in.
 #[derive(Debug, thiserror::Error)]

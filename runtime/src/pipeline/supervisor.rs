@@ -69,6 +69,7 @@ pub fn supervise(
         format: plan.service_format(),
         slots: plan.budget.frame_slots(),
         is_recorded: !plan.is_live(),
+        speed_readings: plan.budget.capacity(Row::TrackingSpeedReadings),
     };
     // Before the camera is started: whoever creates the service decides how many slots it has.
     let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;

@@ -125,6 +125,7 @@ impl TrackingThread<'_> {
         }
         times.add(Stage::Tracking, milliseconds(started.elapsed()));
         self.observe(&image, &mut state.slots);
+        self.usage.observe(Row::TrackingSpeedReadings, frame.speeds().len());
         state.n_keyframes += u32::from(report.is_tracked_keyframe());
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);

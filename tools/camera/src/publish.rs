@@ -9,7 +9,7 @@ use iceoryx2::sample_mut::SampleMut;
 use zerocopy::IntoBytes;
 
 use crate::ipc::{
-    self, Ack, AckService, FrameHeader, FramePage, FrameService, FrameSlots, Ipc, IpcError, IpcNode, ack_name,
+    self, Ack, AckService, FrameHeader, FramePage, FrameService, FrameSlots, Ipc, IpcError, IpcNode, Speed, ack_name,
     frames_name,
 };
 use crate::source::{FrameInfo, FrameSource, SourceError};
@@ -19,6 +19,9 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// How long the end of the stream waits to be acknowledged, so that the tracker can read it before the memory goes.
 const END_PATIENCE: Duration = Duration::from_secs(2);
+
+/// Speed readings older than this when their frame is sent are nobody's business.
+const SPEED_MEMORY_NS: u64 = 5_000_000_000;
 
 /// When the next frame is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -136,6 +139,10 @@ pub fn publish(
         if !goes_on {
             break;
         }
+        // Before their frame, so that whoever has the frame has them.
+        while let Some(reading) = source.next_speed(frame.timestamp_ns) {
+            outlet.send_speed(reading, frame.timestamp_ns)?;
+        }
         outlet.send(sample, sequence, frame, settings.pace)?;
         progress(sequence);
         report.n_sent += 1;
@@ -167,12 +174,14 @@ struct Outlet {
     acks: AckService,
     ack_subscriber: Subscriber<Ipc, Ack, ()>,
     ack_listener: Listener<Ipc>,
+    /// Opened with the first reading: most sources have none.
+    speeds: Option<Publisher<Ipc, Speed, ()>>,
     last_sent: Option<FrameInfo>,
     last_sent_sequence: Option<u64>,
     last_acked: Option<u64>,
     looked: Instant,
     // Must outlive the ports.
-    _node: IpcNode,
+    node: IpcNode,
 }
 
 impl Outlet {
@@ -208,11 +217,12 @@ impl Outlet {
             acks,
             ack_subscriber,
             ack_listener,
+            speeds: None,
             last_sent: None,
             last_sent_sequence: None,
             last_acked: None,
             looked: Instant::now(),
-            _node: node,
+            node,
         })
     }
 
@@ -259,6 +269,22 @@ impl Outlet {
         self.last_sent_sequence = Some(header.sequence);
         self.wake_tracker.notify().map_err(|e| self.broken("waking the tracker at", e))?;
         Ok(())
+    }
+
+    fn send_speed(&mut self, reading: Speed, frame_ns: u64) -> Result<(), IpcError> {
+        if reading.timestamp_ns.saturating_add(SPEED_MEMORY_NS) < frame_ns {
+            return Ok(());
+        }
+        let speeds = match self.speeds.take() {
+            Some(speeds) => speeds,
+            None => ipc::open_speeds(&self.node, &self.service)?
+                .publisher_builder()
+                .create()
+                .map_err(|e| self.broken("publishing the speed at", e))?,
+        };
+        let is_sent = speeds.send_copy(reading);
+        self.speeds = Some(speeds);
+        is_sent.map(|_| ()).map_err(|e| self.broken("sending a speed at", e))
     }
 
     /// Waits until the frame sent last is acknowledged; `false` when told to stop.

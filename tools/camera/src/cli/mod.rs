@@ -11,10 +11,12 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::camera_file::CameraArgument;
-use crate::ipc::FrameSlots;
+use crate::ipc::{FrameSlots, Speed};
 use crate::publish::{Pace, PublishError, PublishSettings, publish};
 use crate::sim::{SimArgs, SimError, Simulator, TruthRecorder, write_dataset};
-use crate::source::{DegradeArgs, Degraded, FolderSource, FrameSource, Playback, PlaybackRange, SourceError};
+use crate::source::{
+    DegradeArgs, Degraded, FolderSource, FrameSource, Playback, PlaybackRange, SourceError, SpeedFile, WithSpeed,
+};
 
 /// How long a lock-step run waits for its tracker.
 const TRACKER_PATIENCE_S: f64 = 30.0;
@@ -86,6 +88,10 @@ pub struct FolderArgs {
     /// Frames per second; needed where times.txt is missing, and used instead of it where given.
     #[arg(long)]
     pub fps: Option<f64>,
+    /// Wheel speed, `t_seconds metres_per_second sigma` on a line, on the clock of the frames; the default is speed.txt in
+    /// the folder, where there is one.
+    #[arg(long, value_name = "FILE")]
+    pub speed: Option<PathBuf>,
     /// Which part is played.
     #[command(flatten)]
     pub range: RangeArgs,
@@ -200,7 +206,10 @@ pub fn run(args: &CameraArgs) -> Result<(), CameraError> {
             let camera = folder.camera.as_deref().map(CameraArgument::from);
             let frames = FolderSource::open(&folder.dataset, camera.as_ref(), folder.fps)?;
             let played = Playback::new(frames, &folder.range.range())?;
-            run_source(&mut Degraded::new(played, &folder.degrade)?, &folder.publish)
+            let degraded = Degraded::new(played, &folder.degrade)?;
+            let readings = SpeedFile::of_recording(&folder.dataset, folder.speed.as_deref(), folder.range.ping_pong)?;
+            let readings = readings.map(|file| Box::new(file) as Box<dyn Iterator<Item = Speed>>);
+            run_source(&mut WithSpeed::new(degraded, readings), &folder.publish)
         }
         SourceArgs::Sim(simulation) => run_simulation(simulation),
     }
@@ -217,13 +226,19 @@ fn run_simulation(args: &SimulationArgs) -> Result<(), CameraError> {
         return Ok(());
     }
     let simulator = Simulator::new(&args.sim)?;
+    let readings =
+        args.sim.speed_noise.map(|sigma| Box::new(simulator.speeds(sigma)) as Box<dyn Iterator<Item = Speed>>);
     match &args.truth {
         Some(folder) => {
-            let mut recorded = Degraded::new(TruthRecorder::create(folder, simulator)?, &args.degrade)?;
-            run_source(&mut recorded, &args.publish)?;
-            Ok(recorded.into_source().finish()?)
+            let recorded = Degraded::new(TruthRecorder::create(folder, simulator)?, &args.degrade)?;
+            let mut source = WithSpeed::new(recorded, readings);
+            run_source(&mut source, &args.publish)?;
+            Ok(source.into_source().into_source().finish()?)
         }
-        None => run_source(&mut Degraded::new(simulator, &args.degrade)?, &args.publish),
+        None => {
+            let degraded = Degraded::new(simulator, &args.degrade)?;
+            run_source(&mut WithSpeed::new(degraded, readings), &args.publish)
+        }
     }
 }
 

@@ -13,6 +13,7 @@ impl CameraArgs {
                 words.word("folder").word(&folder.dataset);
                 words.option("--camera", folder.camera.as_ref());
                 words.option("--fps", folder.fps.map(|fps| fps.to_string()));
+                words.option("--speed", folder.speed.as_ref());
                 words.option("--start", Some(folder.range.start.to_string()));
                 words.option("--frames", folder.range.frames.map(|frames| frames.to_string()));
                 words.option("--ping-pong", Some(folder.range.ping_pong.to_string()));
@@ -20,7 +21,8 @@ impl CameraArgs {
                 (&folder.publish, true)
             }
             SourceArgs::Sim(SimulationArgs { sim, truth, write, degrade, publish }) => {
-                let SimArgs { seed, path, drive, length, start, frames, width, height, fps, mono, noise } = sim;
+                let SimArgs { seed, path, drive, length, start, frames, width, height, fps, mono, noise, speed_noise } =
+                    sim;
                 words.word("sim").option("--seed", Some(seed.to_string()));
                 words.option("--path", path.as_ref());
                 words.option("--drive", path.is_none().then(|| drive.name()));
@@ -32,6 +34,7 @@ impl CameraArgs {
                 words.option("--fps", Some(fps.to_string()));
                 words.switch("--mono", *mono);
                 words.option("--noise", Some(noise.to_string()));
+                words.option("--speed-noise", speed_noise.map(|sigma| sigma.to_string()));
                 words.option("--truth", truth.as_ref()).option("--write", write.as_ref());
                 words.all(degrade.to_words());
                 (publish, write.is_none())
@@ -98,7 +101,8 @@ mod tests {
         check("sim");
         check("sim --seed 9 --path poses.txt --length 50 --width 160 --height 64 --fps 20 --mono --noise 0.5 --live");
         check("sim --start 20 --frames 5 --truth out --service x");
-        check("sim --drive planar-wall");
+        check("sim --drive planar-wall --speed-noise 0.1");
+        check("folder data --speed wheels.txt");
         check("sim --write out --degrade gap@5..7");
         check("folder data --degrade tunnel@5..7 --degrade rain@1..9 --degrade-seed 7");
     }

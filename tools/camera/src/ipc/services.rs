@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::{Ack, FrameHeader, FramePage, PAGE_BYTES};
+use super::{Ack, FrameHeader, FramePage, PAGE_BYTES, Speed};
 
 /// The kind of iceoryx2 service everything here uses: ports may move between threads.
 pub type Ipc = ipc_threadsafe::Service;
@@ -41,6 +41,9 @@ const MAX_MESSAGE_PORTS: usize = 32;
 
 /// Small messages that wait for a slow reader.
 const MESSAGE_BUFFER: usize = 4;
+
+/// Speed readings that wait for a frame: five seconds at 100 Hz.
+const SPEED_BUFFER: usize = 512;
 
 /// How many frames the shared memory holds; decided by whoever creates the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -173,6 +176,24 @@ pub fn open_acks(node: &IpcNode, service: &str) -> Result<AckService, IpcError> 
         .enable_safe_overflow(true)
         .open_or_create()
         .map_err(|e| IpcError::new("opening the acknowledgements of", &name, e, ADVICE_SERVICE))
+}
+
+/// Opens or creates `<service>/speed`.
+///
+/// # Errors
+/// [`IpcError`] when the name is taken by something else.
+pub fn open_speeds(node: &IpcNode, service: &str) -> Result<publish_subscribe::PortFactory<Ipc, Speed, ()>, IpcError> {
+    let name = speed_name(service);
+    node.service_builder(&checked(&name)?)
+        .publish_subscribe::<Speed>()
+        .max_publishers(MAX_CAMERAS)
+        .max_subscribers(MAX_CAMERAS)
+        .max_nodes(MAX_NODES)
+        .subscriber_max_buffer_size(SPEED_BUFFER)
+        .history_size(0)
+        .enable_safe_overflow(true)
+        .open_or_create()
+        .map_err(|e| IpcError::new("opening the speed of", &name, e, ADVICE_SERVICE))
 }
 
 /// Opens or creates the event service that wakes the readers of `name`. A notifier that comes, goes or dies wakes them too.

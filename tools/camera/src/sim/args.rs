@@ -41,6 +41,9 @@ pub struct SimArgs {
     /// Standard deviation of the sensor's noise, in steps of 8 bits.
     #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
     pub noise: f64,
+    /// Tell the vehicle's speed too, with noise of this standard deviation, m/s; 0 tells the truth.
+    #[arg(long, value_name = "SIGMA", value_parser = not_negative)]
+    pub speed_noise: Option<f64>,
 }
 
 /// Settings for tests and for the demo: `SimArgs` as if nothing had been typed.
@@ -58,6 +61,7 @@ impl Default for SimArgs {
             fps: 10.0,
             mono: false,
             noise: 1.0,
+            speed_noise: None,
         }
     }
 }

@@ -11,12 +11,14 @@ mod render;
 mod road_map;
 mod shapes;
 mod town;
+mod true_speed;
 mod truth;
 
 pub use args::{SimArgs, SimError, parse_length};
 pub use drive_kind::DriveKind;
 pub use path::{Drive, Waypoint};
 pub use render::VIEW_DISTANCE_M;
+pub use true_speed::TrueSpeed;
 pub use truth::{TruthRecorder, TruthWriter, write_dataset};
 
 use crate::source::{FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat, add_noise};
@@ -93,6 +95,11 @@ impl Simulator {
     /// Where the camera is at a frame, counted from the first one delivered.
     pub fn camera_at(&self, frame: usize) -> Waypoint {
         self.drive.at_frame(self.first + frame)
+    }
+
+    /// What the wheels say at the time of every frame of the drive, with noise of this standard deviation.
+    pub fn speeds(&self, sigma_m_per_s: f64) -> TrueSpeed {
+        TrueSpeed { drive: self.drive.clone(), fps: self.args.fps, sigma_m_per_s, seed: self.args.seed, frame: 0 }
     }
 
     /// Number of frames delivered in all.

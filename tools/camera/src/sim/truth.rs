@@ -1,7 +1,10 @@
 //! The simulator's truth on disk, in the layout of KITTI odometry.
 
 use super::{CAMERA_HEIGHT_M, SimArgs, SimError, Simulator};
-use crate::source::{DegradeArgs, Degraded, FrameInfo, FrameSource, PixelFormat, SourceError, SourceFormat};
+use crate::ipc::Speed;
+use crate::source::{
+    DegradeArgs, Degraded, FrameInfo, FrameSource, PixelFormat, SPEED_FILE_NAME, SourceError, SourceFormat,
+};
 use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
 use std::fs::{File, create_dir_all};
 use std::io::{BufWriter, Write};
@@ -36,6 +39,13 @@ impl TruthWriter {
              lever_arm_m = [0.0, 0.0, 0.0]\n"
         );
         write_text(&folder.join("camera.toml"), &mounting)?;
+        if let Some(sigma) = simulator.args.speed_noise {
+            let line = |reading: Speed| {
+                let Speed { timestamp_ns, metres_per_second, standard_deviation } = reading;
+                format!("{:.6} {metres_per_second:.6} {standard_deviation}\n", timestamp_ns as f64 * 1e-9)
+            };
+            write_text(&folder.join(SPEED_FILE_NAME), &simulator.speeds(sigma).map(line).collect::<String>())?;
+        }
         let open = |name: &str| {
             let path = folder.join(name);
             File::create(&path).map(BufWriter::new).map_err(|e| problem(&path, &e))

@@ -8,10 +8,12 @@ mod image_list;
 mod playback;
 mod rectifier;
 mod sensor_noise;
+mod speed;
 mod times;
 
 use std::path::{Path, PathBuf};
 
+use crate::ipc::Speed;
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::conventions::TimestampNs;
 pub use kilogs_core::frame::PixelFormat;
@@ -22,6 +24,7 @@ pub use image_list::ImageList;
 pub use playback::{Playback, PlaybackRange, STANDING_FRAMES, Schedule};
 pub use rectifier::Distortion;
 pub(crate) use sensor_noise::add_noise;
+pub use speed::{SPEED_FILE_NAME, SpeedFile, WithSpeed};
 
 /// What every frame of a source has in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,6 +105,11 @@ pub trait FrameSource {
     /// # Errors
     /// [`SourceError`] when this frame cannot be delivered; the next call goes on with the frame after it.
     fn next_frame(&mut self, pixels: &mut [u8]) -> Result<Option<FrameInfo>, SourceError>;
+
+    /// The vehicle's next speed reading that is not later than `until_ns`, where the source knows any.
+    fn next_speed(&mut self, _until_ns: TimestampNs) -> Option<Speed> {
+        None
+    }
 }
 
 /// Delivers any frame of a finite recording; [`Playback`] turns it into a [`FrameSource`].
