@@ -1,6 +1,7 @@
 //! The pose of one frame against the last keyframe.
 
 use super::drift::{CLAIM_FACTOR, coasting_information, step_covariance};
+use super::epipolar::ModelChoice;
 use super::matches::z1_of;
 use super::recovery::{Aids, MatchSource};
 use super::settings::PoseModels;
@@ -11,23 +12,17 @@ use crate::camera::Mounting;
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::TrackReport;
 use crate::math::{Rng, se3};
-use crate::pose::{RelativePose, StepLength, estimate_pnp, estimate_relative, fit_step_length, relative_covariance};
+use crate::pose::estimate_pnp;
 use crate::verify::{MotionVerdict, judge_motion};
-use nalgebra::{Matrix6, Translation3, Vector3};
+use nalgebra::{Matrix6, Vector3};
 
 /// Random streams of the robust loops.
 const PURPOSE_PNP: u64 = 1;
-const PURPOSE_ESSENTIAL: u64 = 2;
 /// Tracks of the road that must stand still for the vehicle to stand, and their share.
 const MIN_STANDING_TRACKS: usize = 12;
 const STANDING_SHARE: f64 = 0.6;
 /// Rays this steep below the horizon see the street nearer than about 30 m: sine of the angle.
 const MIN_ROAD_SINE: f64 = 0.05;
-/// A step shorter than this has no direction, m.
-const SHORTEST_STEP_M: f64 = 1e-6;
-
-/// How far the speed so far tells the length of a step before there are landmarks, relative.
-const COASTED_LENGTH_RATIO: f64 = 0.3;
 
 /// The frame whose pose is wanted.
 pub(super) struct Moment {
@@ -50,6 +45,8 @@ pub(super) struct FramePose {
     pub(super) is_standing: bool,
     /// Whether the length of the step was measured or predicted from measured ones.
     pub(super) is_metric: bool,
+    /// Which model the matches called for, where both were tried.
+    pub(super) choice: Option<ModelChoice>,
     /// What the motion so far says, where the image says little.
     pub(super) prior: Option<PosePrior>,
     /// Covariance of the left increment against the last keyframe (rad, m); nothing for the length's scale.
@@ -75,6 +72,7 @@ impl FramePose {
             is_keyframe: false,
             is_standing: false,
             is_metric: false,
+            choice: None,
             prior: None,
             step_covariance: Matrix6::zeros(),
             n_matches: 0,
@@ -92,7 +90,7 @@ impl FramePose {
         Self { status: FrameStatus::Lost, reason, ..Self::predicted(&motion.camera_from_world) }
     }
 
-    fn solved(camera_from_world: &Rigid, model: PoseModel, n_matches: usize, n_inliers: usize) -> Self {
+    pub(super) fn solved(camera_from_world: &Rigid, model: PoseModel, n_matches: usize, n_inliers: usize) -> Self {
         Self {
             status: FrameStatus::Tracked,
             reason: StatusReason::Verified,
@@ -264,57 +262,5 @@ impl Tracker<'_> {
         let Some(both) = (information / CLAIM_FACTOR + expected).cholesky() else { return pose };
         let camera_from_world = se3::exp(&both.solve(&(expected * off))) * pose.camera_from_world;
         FramePose { camera_from_world, prior: Some(prior), ..pose }
-    }
-
-    /// Pose from the essential matrix of all tracks since the keyframe, with the best length of the step there is.
-    fn essential_pose(&mut self, moment: &Moment, noise_px: f64) -> Option<FramePose> {
-        let n = self.collect_matches();
-        let matches = self.scratch.matches.get(..n)?;
-        let keyframe_from_world = self.newest.camera_from_world;
-        let guess = moment.predicted * keyframe_from_world.inverse();
-        let length_m = guess.translation.vector.norm();
-        let predicted_direction = (length_m > SHORTEST_STEP_M)
-            .then(|| RelativePose { rotation: guess.rotation, direction: guess.translation.vector / length_m });
-        let settings = self.settings.relative(&self.camera, noise_px);
-        let mut rng = Rng::new(self.seed, moment.frame_index, PURPOSE_ESSENTIAL);
-        let found =
-            estimate_relative(matches, predicted_direction.as_ref(), &settings, &mut rng, self.scratch.is_inlier)
-                .ok()?;
-        let needed = self.settings.min_inliers.max((self.settings.min_inlier_ratio * n as f64) as usize);
-        let in_front = self.settings.min_in_front_ratio * found.n_inliers as f64;
-        if found.n_inliers < needed || (found.n_in_front as f64) < in_front {
-            return None;
-        }
-        let motion = found.second_from_first;
-        let mut pose = FramePose {
-            n_dynamic: n - found.n_inliers,
-            ..FramePose::solved(&keyframe_from_world, PoseModel::Essential, n, found.n_inliers)
-        };
-        let StepLength { length_m, sigma_m } = self.length_of_step(&motion, length_m, &mut pose)?;
-        let camera_from_keyframe = Rigid::from_parts(Translation3::from(motion.direction * length_m), motion.rotation);
-        let (noise_z1, cutoff_z1) = (noise_px / self.camera.fx, settings.inlier_z1);
-        let matches = self.scratch.matches.get(..n)?;
-        pose.step_covariance = relative_covariance(matches, &motion, noise_z1, cutoff_z1, length_m, sigma_m)
-            .unwrap_or_else(|| step_covariance(&Matrix6::zeros()));
-        pose.camera_from_world = camera_from_keyframe * keyframe_from_world;
-        Some(pose)
-    }
-
-    /// Metres of the step since the keyframe: from landmarks, else from the road, else from the speed so far.
-    fn length_of_step(&mut self, motion: &RelativePose, predicted_m: f64, pose: &mut FramePose) -> Option<StepLength> {
-        let n = if self.is_started { self.collect_landmark_matches() } else { 0 };
-        if n >= self.settings.min_inliers {
-            let matches = self.scratch.landmark_matches.get(..n)?;
-            return fit_step_length(matches, motion, predicted_m, self.settings.noise_z1(&self.camera));
-        }
-        if let Some(measured) = self.road_step(motion, predicted_m) {
-            pose.n_road = measured.n_pixels;
-            pose.is_metric = true;
-            // Its error is that of the scale.
-            return Some(StepLength { length_m: measured.step_m, sigma_m: 0.0 });
-        }
-        pose.is_metric = false;
-        let sigma_m = COASTED_LENGTH_RATIO * predicted_m;
-        self.motion.is_known().then_some(StepLength { length_m: predicted_m, sigma_m })
     }
 }

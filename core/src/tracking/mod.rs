@@ -2,6 +2,7 @@
 
 mod depths;
 mod drift;
+mod epipolar;
 mod frame_pose;
 mod matches;
 mod promotion;
@@ -66,6 +67,8 @@ pub enum PoseModel {
     Origin,
     /// Essential matrix with recovered scale.
     Essential,
+    /// A mere turn, before there are landmarks.
+    Rotation,
     /// Perspective-n-point on window landmarks.
     Pnp,
     /// Either of the two on dense correspondences.
@@ -131,6 +134,8 @@ pub struct FrameReport {
     pub n_dynamic: u32,
     /// Median displacement against the last keyframe, px at full width.
     pub median_flow_px: f32,
+    /// GRIC of the essential matrix and of the homography, where both were tried, else NaN: the lower one is the model.
+    pub gric: [f32; 2],
     /// Turn against the prior, rad.
     pub rotation_anomaly_rad: f32,
     /// Angle between the axle's step and the vehicle's forward axis, rad; NaN when the step is too short to tell.

@@ -4,7 +4,7 @@ use super::depths::{mark_impossible, triangulate_new};
 use super::frame_pose::FramePose;
 use super::matches::z1_of;
 use super::tracker::{NO_LANDMARK, Tracker};
-use super::{DynamicFilter, KeyframePoint};
+use super::{DynamicFilter, KeyframePoint, PoseModel};
 use crate::bundle::{BundleSettings, adjust};
 use crate::conventions::TimestampNs;
 use crate::keyframe::Column;
@@ -33,7 +33,8 @@ impl Tracker<'_> {
             let scale = self.correct_scale(earlier_slot);
             (pose.scale_ratio, pose.n_road) = (scale.ratio, scale.n_pixels);
         }
-        self.is_started |= n_new >= self.settings.min_inliers;
+        // A turn shows no depth, whatever the noise says.
+        self.is_started |= n_new >= self.settings.min_inliers && pose.model != PoseModel::Rotation;
         if self.settings.dynamic_filter == DynamicFilter::Region {
             let (normal, height_m) = (self.expected_normal, self.mounting.height_m);
             let share = self.settings.below_road_ratio;

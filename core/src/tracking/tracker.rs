@@ -352,6 +352,7 @@ impl<'m> Tracker<'m> {
             n_inliers: pose.n_inliers as u32,
             n_dynamic: pose.n_dynamic as u32,
             median_flow_px: tracks.median_flow_px,
+            gric: pose.choice.map_or([f32::NAN; 2], |c| [c.gric_essential as f32, c.gric_homography as f32]),
             rotation_anomaly_rad: pose.turn_change_rad as f32,
             direction_anomaly_rad: pose.side_slip_rad as f32,
             step_m: (self.newest.camera_from_world * world_from_camera).translation.vector.norm() as f32,

@@ -122,6 +122,7 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::TrackingTracks => bytes(BYTES_PER_TRACK),
         Row::TrackingLandmarks => bytes(BYTES_PER_LANDMARK),
         Row::TrackingKeyframes => bytes((size_of::<KeyframeWindow>() + size_of::<ReducedSystem>()).div_ceil(WINDOW)),
+        Row::TrackingFeatures => bytes(budget.descriptor_bytes(input)).div_ceil(bytes(capacity(Row::TrackingFeatures))),
         Row::TrackingDenseMatchers => bytes(budget.dense_capacities(input).bytes()),
         Row::TrackingSpeedReadings => bytes(size_of::<Speed>()),
         Row::PipelineKeyframeQueue => {

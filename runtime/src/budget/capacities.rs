@@ -8,7 +8,7 @@ use crate::mapping::MapperCapacity;
 use crate::mapping::capacity::chunk_file_bytes;
 use crate::splat::Capacities;
 use kilogs_camera::ipc::FrameSlots;
-use kilogs_core::correspondence::DenseCapacities;
+use kilogs_core::correspondence::{DenseCapacities, sparse};
 use kilogs_core::store::page_file_bytes;
 use kilogs_core::tracking::TrackerCapacities;
 
@@ -26,6 +26,11 @@ impl Budget {
             tracks: self.capacity(Row::TrackingTracks),
             landmarks: self.capacity(Row::TrackingLandmarks),
         }
+    }
+
+    /// Memory of the descriptor matcher.
+    pub fn descriptor_bytes(&self, input: &PlanInput) -> usize {
+        sparse::storage_bytes(input.width as usize, input.height as usize, self.capacity(Row::TrackingFeatures))
     }
 
     /// Images of the dense matcher.

@@ -64,6 +64,7 @@ pub enum Row {
     TrackingTracks,
     TrackingLandmarks,
     TrackingKeyframes,
+    TrackingFeatures,
     TrackingDenseMatchers,
     TrackingSpeedReadings,
     PipelineKeyframeQueue,
@@ -135,6 +136,7 @@ rows! {
     TrackingTracks = ["tracking"."tracks"], "a point followed from frame to frame, its match and its scratch", HOST, Refuse, 64..=1 << 16;
     TrackingLandmarks = ["tracking"."landmarks"], "a point of the window and where it was seen", HOST, Refuse, 64..=1 << 18;
     TrackingKeyframes = ["tracking"."keyframes"], "a keyframe of the window and its part of the bundle adjustment", HOST, OverwriteOldest, 8..=8;
+    TrackingFeatures = ["tracking"."features"], "a described corner of the keyframe and one of the current frame, and their match", HOST, Refuse, 64..=1 << 16;
     TrackingDenseMatchers = ["tracking"."dense_matchers"], "the work space of dense matching", HOST, Refuse, 1..=1;
     TrackingSpeedReadings = ["tracking"."speed_readings"], "a reading of the vehicle's speed", HOST, OverwriteOldest, 16..=1 << 16;
     PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;

@@ -161,6 +161,7 @@ impl FrameReports {
             n_inliers: 0,
             n_dynamic: 0,
             median_flow_px: f32::NAN,
+            gric: [f32::NAN; 2],
             rotation_anomaly_rad: f32::NAN,
             direction_anomaly_rad: f32::NAN,
             step_m: f32::NAN,

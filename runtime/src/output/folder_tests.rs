@@ -26,6 +26,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         n_inliers: 700,
         n_dynamic: 60,
         median_flow_px: 25.5,
+        gric: [f32::NAN; 2],
         rotation_anomaly_rad: std::f32::consts::PI / 180.0,
         direction_anomaly_rad: f32::NAN,
         step_m: 1.25,

@@ -8,10 +8,10 @@ use kilogs_core::tracking::{FrameReport, FrameStatus, MatchSource, PoseModel, St
 
 /// Columns before the milliseconds per stage.
 const COLUMNS: &str = "index,t,status,reason,keyframe,model,matches,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
-     rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio";
+     gric_essential,gric_homography,rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio";
 
 /// Columns of a dropped frame between its status and its (absent) stage times.
-const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,,";
+const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,,,,";
 
 pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
     csv.write(format_args!("{COLUMNS}"))?;
@@ -21,7 +21,7 @@ pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
 
 pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &StageTimes) -> Result<(), OutputError> {
     csv.write(format_args!(
-        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         frame.frame_index,
         Seconds(frame.timestamp_ns),
         status_name(frame.status),
@@ -35,6 +35,8 @@ pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &Stage
         frame.n_dynamic,
         frame.n_road,
         Measured(frame.median_flow_px),
+        Measured(frame.gric[0]),
+        Measured(frame.gric[1]),
         Measured(frame.rotation_anomaly_rad.to_degrees()),
         Measured(frame.direction_anomaly_rad.to_degrees()),
         Measured(frame.step_m),
@@ -92,6 +94,7 @@ fn model_name(model: PoseModel) -> &'static str {
     match model {
         PoseModel::Origin => "origin",
         PoseModel::Essential => "E",
+        PoseModel::Rotation => "rotation",
         PoseModel::Pnp => "PnP",
         PoseModel::Dense => "dense",
         PoseModel::Predicted => "predicted",

@@ -128,6 +128,7 @@ mod tests {
             n_inliers: 0,
             n_dynamic: 0,
             median_flow_px: 0.0,
+            gric: [f32::NAN; 2],
             rotation_anomaly_rad: 0.0,
             direction_anomaly_rad: 0.0,
             step_m: 0.0,

@@ -54,7 +54,7 @@ impl Tally {
             (_, PoseModel::Essential) => self.essential += 1,
             (_, PoseModel::Pnp) => self.pnp += 1,
             (_, PoseModel::Dense) => self.dense += 1,
-            (_, PoseModel::Origin | PoseModel::Predicted) => {}
+            (_, PoseModel::Origin | PoseModel::Rotation | PoseModel::Predicted) => {}
         }
         let position_m = report.world_from_camera.translation.vector;
         if report.status != FrameStatus::Lost {

@@ -13,8 +13,9 @@ use crate::map_store::HeldOutRule;
 use crate::output::{Stage, StageTimes};
 use crate::run_error::RunError;
 use crate::seal;
+use kilogs_core::conventions::TimestampNs;
 use kilogs_core::frame::ImageView;
-use kilogs_core::tracking::{FrameReport, FrameStatus, Tracker};
+use kilogs_core::tracking::{FrameReport, FrameStatus, Tracker, Travelled};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -51,6 +52,7 @@ struct State {
     n_keyframes: u32,
     /// Frames of the camera process that sends at present.
     n_frames_of_camera: u64,
+    last_frame_ns: Option<TimestampNs>,
 }
 
 impl TrackingThread<'_> {
@@ -69,6 +71,7 @@ impl TrackingThread<'_> {
             held_out: HeldOutRule::default(),
             n_keyframes: 0,
             n_frames_of_camera: 0,
+            last_frame_ns: None,
         };
         let mut sealed = None;
         let mut waiting_since = Instant::now();
@@ -118,7 +121,10 @@ impl TrackingThread<'_> {
             let needed_bytes = (image.stride_bytes * image.size.1) as u64;
             return self.tell(Record::Refused(HeaderVerdict::DoesNotFit { needed_bytes, claimed_bytes, sent_bytes }));
         };
-        let mut aids = self.matchers.aids();
+        let before_ns = state.last_frame_ns.replace(frame.timestamp_ns());
+        let travelled = before_ns.and_then(|before_ns| frame.speeds().between(before_ns, frame.timestamp_ns()));
+        let travelled = travelled.map(|way| Travelled { metres: way.metres, sigma_m: way.sigma_m });
+        let mut aids = self.matchers.aids(travelled);
         let mut report = self.tracker.step_aided(gray, frame_index, frame.timestamp_ns(), &mut aids);
         if let Some(given_poses) = &mut state.given_poses {
             given_poses.replace(&mut report);
