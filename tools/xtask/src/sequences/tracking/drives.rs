@@ -25,6 +25,8 @@ const KINDS: [&str; 4] = ["pure-rotation", "standing-then-go", "planar-road", "p
 
 /// Length, m, and seed of every drive.
 const DRIVE: [&str; 2] = ["--length=130", "--seed=5"];
+/// Frames behind the spoilt ones in which the tracker has to find its way back.
+const RECOVERY_FRAMES: u64 = 10;
 /// Share of a planar drive that has more than a plane to see.
 const BEFORE_PLANE: f64 = 1.0 / 3.0;
 
@@ -65,7 +67,7 @@ fn arms<'a>(
             names: [name.to_owned(), fallback.to_owned()],
             folder: format!("drives/{name}/fallback-{fallback}"),
             options,
-            spoilt: Some(spoilt.clone()),
+            spoilt: Some(spoilt.start..spoilt.end + RECOVERY_FRAMES),
         };
         (drive.to_owned(), run)
     })

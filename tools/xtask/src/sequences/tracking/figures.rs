@@ -47,7 +47,7 @@ pub(super) struct Figures {
     report: Value,
     eval: Value,
     all: Tally,
-    /// Of the spoilt frames alone, those that were tracked.
+    /// Of the spoilt frames and those right behind them, what was tracked.
     spoilt: Option<Tally>,
     moved_m: Option<f64>,
 }
@@ -71,7 +71,7 @@ impl Figures {
 
     /// Headings of [`Figures::cells`].
     pub fn headings(has_spoilt: bool) -> Vec<&'static str> {
-        let spoilt = ["spoilt frames by model", "by tier", "saved by"];
+        let spoilt = ["spoilt frames and 10 after, by model", "by tier", "saved by"];
         let of = |figures: &[(&'static str, bool, &[&str], usize)]| figures.iter().map(|f| f.0).collect::<Vec<_>>();
         let shares = SHARES.map(|(heading, ..)| heading);
         let moved: &[&str] = if has_spoilt { &[] } else { &["moved m"] };

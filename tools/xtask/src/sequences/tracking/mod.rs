@@ -62,7 +62,7 @@ struct Run {
     /// Name of the output folder below the table's.
     folder: String,
     options: Vec<String>,
-    /// Frames of which the models are counted apart: those that are spoilt.
+    /// Frames of which the models are counted apart: those that are spoilt, and those right behind them.
     spoilt: Option<std::ops::Range<u64>>,
 }
 
