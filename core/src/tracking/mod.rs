@@ -144,6 +144,8 @@ pub struct FrameReport {
     pub step_m: f32,
     /// Ratio of the measured scale over the predicted one; NaN when it was not measured.
     pub scale_ratio: f32,
+    /// Standard deviation of the natural logarithm of the scale that lengths have by now.
+    pub scale_sigma: f32,
     /// Road points (or pixels) behind the scale.
     pub n_road: u32,
 }

@@ -4,7 +4,7 @@ use super::depths::{mark_impossible, triangulate_new};
 use super::frame_pose::FramePose;
 use super::matches::z1_of;
 use super::tracker::{NO_LANDMARK, Tracker};
-use super::{DynamicFilter, KeyframePoint, PoseModel};
+use super::{Aids, DynamicFilter, KeyframePoint, PoseModel, Travelled};
 use crate::bundle::{BundleSettings, adjust};
 use crate::conventions::TimestampNs;
 use crate::keyframe::Column;
@@ -14,7 +14,13 @@ const HUBER_SIGMAS: f64 = 1.345;
 
 impl Tracker<'_> {
     /// Makes the current frame the newest keyframe; `pose` becomes the adjusted one.
-    pub(super) fn promote(&mut self, frame_index: u64, timestamp_ns: TimestampNs, pose: &mut FramePose) {
+    pub(super) fn promote(
+        &mut self,
+        frame_index: u64,
+        timestamp_ns: TimestampNs,
+        pose: &mut FramePose,
+        aids: &mut Aids<'_>,
+    ) {
         let earlier_slot = self.keyframe_slot;
         let column = self.window.push(frame_index, timestamp_ns, pose.camera_from_world, self.landmarks);
         self.link_landmarks();
@@ -30,9 +36,10 @@ impl Tracker<'_> {
             adjust(&mut self.window, self.landmarks, pose.prior.as_ref(), self.bundle, &settings);
         }
         if self.is_started {
-            let scale = self.correct_scale(earlier_slot);
+            let scale = self.correct_scale(earlier_slot, aids);
             (pose.scale_ratio, pose.n_road) = (scale.ratio, scale.n_pixels);
         }
+        self.travelled = Some(Travelled::NOTHING);
         // A turn shows no depth, whatever the noise says.
         self.is_started |= n_new >= self.settings.min_inliers && pose.model != PoseModel::Rotation;
         if self.settings.dynamic_filter == DynamicFilter::Region {

@@ -28,6 +28,11 @@ pub struct Travelled {
     pub sigma_m: f64,
 }
 
+impl Travelled {
+    /// No way at all.
+    pub(super) const NOTHING: Self = Self { metres: 0.0, sigma_m: 0.0 };
+}
+
 /// What a caller can lend to a step; nothing by default.
 #[derive(Default)]
 pub struct Aids<'a> {

@@ -3,7 +3,7 @@
 use super::drift::Drift;
 use super::frame_pose::FramePose;
 use super::tracker::Tracker;
-use super::{FrameStatus, PoseModel, StatusReason};
+use super::{FrameStatus, PoseModel, StatusReason, Travelled};
 use crate::conventions::{Rigid, TimestampNs};
 use crate::scale::ScaleFilter;
 
@@ -22,6 +22,7 @@ impl Tracker<'_> {
         let column = self.window.push(frame_index, timestamp_ns, *predicted, self.landmarks);
         self.adopt_new_tracks(column);
         self.note_newest();
+        self.travelled = Some(Travelled::NOTHING);
         let pose = FramePose::predicted(predicted);
         self.drift = if is_first_ever { Drift::none() } else { self.blind_drift(&pose, timestamp_ns) };
         self.drift.forget_scale();

@@ -1,10 +1,13 @@
 //! Metres from the road, at the start and ever after.
 
-use super::RoadPlane;
 use super::tracker::Tracker;
+use super::{Aids, KeyframePoint, RoadPlane, Travelled};
 use crate::conventions::Rigid;
 use crate::pose::RelativePose;
-use crate::scale::{RoadAlignment, RoadPair, ScaleUpdate, align_road};
+use crate::scale::{
+    MAX_DEPTHS, RoadAlignment, RoadPair, ScaleMeasurement, ScaleSource, ScaleUpdate, align_road, depth_ratio,
+    wheel_ratio,
+};
 use nalgebra::{Translation3, Vector3};
 
 /// Lengths of the first step that are searched, m.
@@ -14,6 +17,10 @@ const COASTED_RANGE: [f64; 2] = [0.5, 2.0];
 /// Lengths that are tried around one that landmarks tell: how far the scale may drift unseen behind a truck.
 const KNOWN_RANGE: [f64; 2] = [0.75, 1.33];
 
+/// Upper part of the image whose depths are not compared (peer: the lower 70 % of the rows are).
+const SKY_SHARE: f32 = 0.3;
+/// Points whose triangulated depth is less certain are not compared.
+const MAX_DEPTH_SIGMA: f32 = 0.1;
 /// A measurement that keeps this much weight shows the road well enough to learn its normal from.
 const BELIEVED_WEIGHT: f64 = 0.5;
 
@@ -54,10 +61,19 @@ impl Tracker<'_> {
         Some(RoadStep { step_m, n_pixels: found.n_pixels })
     }
 
-    /// Measures the road between the two newest keyframes, merges the scale and corrects the window.
+    /// Adds the way of a frame to that since the last keyframe; unknown once a frame does not tell.
+    pub(super) fn note_travelled(&mut self, frame: Option<Travelled>) {
+        let sum = |(way, frame): (Travelled, Travelled)| Travelled {
+            metres: way.metres + frame.metres,
+            sigma_m: libm::hypot(way.sigma_m, frame.sigma_m),
+        };
+        self.travelled = self.travelled.zip(frame).map(sum);
+    }
+
+    /// Measures the scale between the two newest keyframes, merges it and corrects the window.
     ///
     /// `earlier_slot` holds the pyramid of the keyframe before the newest, `current_slot` that of the newest.
-    pub(super) fn correct_scale(&mut self, earlier_slot: usize) -> ScaleFigures {
+    pub(super) fn correct_scale(&mut self, earlier_slot: usize, aids: &mut Aids<'_>) -> ScaleFigures {
         let nothing = ScaleFigures { ratio: f64::NAN, n_pixels: 0 };
         let mut newest_first = self.window.columns_by_age().collect::<heapless::Vec<_, 8>>();
         newest_first.reverse();
@@ -67,9 +83,40 @@ impl Tracker<'_> {
         };
         let earlier_from_later = earlier_k.camera_from_world * later_k.camera_from_world.inverse();
         let step_m = earlier_from_later.translation.vector.norm();
+        let mut road = None;
+        let measured = match self.settings.scale_source {
+            ScaleSource::GroundPlane => {
+                road = self.measure_road(earlier_slot, earlier_from_later);
+                road.map(|found| ScaleMeasurement {
+                    ratio: self.mounting.height_m / found.height_m,
+                    relative_sigma: found.relative_sigma,
+                    source: ScaleSource::GroundPlane,
+                })
+            }
+            ScaleSource::DepthNetwork => self.measure_depths(earlier_slot, aids),
+            ScaleSource::WheelSpeed => {
+                self.travelled.and_then(|way| wheel_ratio(&earlier_from_later, &self.mounting, way.metres, way.sigma_m))
+            }
+        };
         let turn_rad = earlier_from_later.rotation.angle();
         let drift = self.scale.drive(step_m, turn_rad, &self.settings.scale);
         self.drift_at_keyframe.drive(step_m);
+        self.window.rescale(drift, earlier, self.landmarks);
+        let Some(measured) = measured else { return nothing };
+        let measured = ScaleMeasurement { ratio: measured.ratio / drift, ..measured };
+        let update = self.scale.update(&measured, &self.settings.scale);
+        if let ScaleUpdate::Accept { correction, weight, gains } = update {
+            self.drift_at_keyframe.correct_scale(gains);
+            self.window.rescale(correction, earlier, self.landmarks);
+            if let Some(found) = road.filter(|_| weight > BELIEVED_WEIGHT) {
+                self.learn_normal(&found);
+            }
+        }
+        ScaleFigures { ratio: measured.ratio, n_pixels: road.map_or(0, |found| found.n_pixels) }
+    }
+
+    /// The road between the two newest keyframes.
+    fn measure_road(&self, earlier_slot: usize, earlier_from_later: Rigid) -> Option<RoadAlignment> {
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
             earlier: &self.pyramids[earlier_slot],
@@ -78,19 +125,22 @@ impl Tracker<'_> {
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
-        let measured = align_road(&pair, KNOWN_RANGE, &self.mounting, &self.settings.road);
-        self.window.rescale(drift, earlier, self.landmarks);
-        let Ok(found) = measured else { return nothing };
-        let ratio = self.mounting.height_m / found.height_m / drift;
-        let update = self.scale.update(ratio, found.relative_sigma, &self.settings.scale);
-        if let ScaleUpdate::Accept { correction, weight, gains } = update {
-            self.drift_at_keyframe.correct_scale(gains);
-            self.window.rescale(correction, earlier, self.landmarks);
-            if weight > BELIEVED_WEIGHT {
-                self.learn_normal(&found);
-            }
-        }
-        ScaleFigures { ratio, n_pixels: found.n_pixels }
+        align_road(&pair, KNOWN_RANGE, &self.mounting, &self.settings.road).ok()
+    }
+
+    /// Compares what is known about the depths in the keyframe before the newest with its triangulated points.
+    fn measure_depths(&self, earlier_slot: usize, aids: &mut Aids<'_>) -> Option<ScaleMeasurement> {
+        let prior = aids.depth.as_mut()?;
+        let points = self.keyframe_points();
+        let highest_px = SKY_SHARE * self.camera.height as f32;
+        let is_usable = |p: &&KeyframePoint| p.pixel[1] >= highest_px && p.relative_sigma < MAX_DEPTH_SIGMA;
+        let stride = points.iter().filter(is_usable).count().div_ceil(MAX_DEPTHS).max(1);
+        let chosen = || points.iter().filter(is_usable).step_by(stride).take(MAX_DEPTHS);
+        let pixels: heapless::Vec<[f32; 2], MAX_DEPTHS> = chosen().map(|p| p.pixel).collect();
+        let mut depths_m = [f32::NAN; MAX_DEPTHS];
+        let known = depths_m.get_mut(..pixels.len())?;
+        prior.depths_m(&self.pyramids[earlier_slot], &pixels, known);
+        depth_ratio(chosen().zip(known.iter()).map(|(point, &known_m)| [point.depth_m, known_m]))
     }
 
     /// Lets the expected normal follow the measured ones slowly and not far from the mounting's.

@@ -5,7 +5,7 @@ use crate::camera::Pinhole;
 use crate::features::tracks::TrackSettings;
 use crate::gate::GateSettings;
 use crate::pose::{PnpSettings, RelativeSettings};
-use crate::scale::{RoadSettings, ScaleFilterSettings};
+use crate::scale::{RoadSettings, ScaleFilterSettings, ScaleSource};
 use crate::verify::MotionLimits;
 
 /// Which solvers may find the pose of a frame once there are landmarks.
@@ -83,6 +83,8 @@ pub struct TrackingSettings {
     pub normal_adaptation: f64,
     /// Largest deviation of the expected normal from the mounting's, rad. Range 0..0.2.
     pub max_normal_deviation_rad: f64,
+    /// What tells the scale.
+    pub scale_source: ScaleSource,
     /// The road's alignment.
     pub road: RoadSettings,
     /// How scale measurements are merged.
@@ -118,6 +120,7 @@ impl TrackingSettings {
         below_road_ratio: 0.5,
         normal_adaptation: 0.05,
         max_normal_deviation_rad: 0.05,
+        scale_source: ScaleSource::GroundPlane,
         road: RoadSettings {
             distance_m: [5.0, 16.0],
             half_width_m: 3.0,
@@ -138,6 +141,8 @@ impl TrackingSettings {
             drift_rate_sigma_per_m: 0.0005,
             drift_rate_change_per_m: 0.00002,
             measurement_sigma: 0.03,
+            network_sigma: 0.05,
+            wheel_sigma: 0.01,
             correlation_m: 5.0,
             early_sigma: 0.2,
             kernel_sigmas: 2.0,

@@ -2,7 +2,7 @@
 
 use super::drift::Drift;
 use super::frame_pose::{FramePose, Moment};
-use super::recovery::Aids;
+use super::recovery::{Aids, Travelled};
 use super::settings::TrackingSettings;
 use super::storage::{N_PYRAMIDS, TrackerStorage, TrackerStorageProblem};
 use super::{FrameReport, FrameStatus, KeyframePoint, RoadPlane, StatusReason};
@@ -89,6 +89,8 @@ pub struct Tracker<'m> {
     pub(super) n_keyframe_points: usize,
     pub(super) motion: Motion,
     pub(super) scale: ScaleFilter,
+    /// Way since the last keyframe, as far as the wheels told it.
+    pub(super) travelled: Option<Travelled>,
     /// Error of the last believed pose.
     pub(super) drift: Drift,
     pub(super) drift_at_keyframe: Drift,
@@ -165,6 +167,7 @@ impl<'m> Tracker<'m> {
             n_keyframe_points: 0,
             motion: Motion { camera_from_world: identity, timestamp_ns: 0, velocity: Vector6::zeros(), prior: None },
             scale: ScaleFilter::new(&settings.scale),
+            travelled: None,
             drift: Drift::none(),
             drift_at_keyframe: Drift::none(),
             expected_normal: mounting.road_normal_in_camera(),
@@ -221,6 +224,7 @@ impl<'m> Tracker<'m> {
             let pose = FramePose::lost(&self.motion, StatusReason::Unusable);
             return self.report(frame_index, timestamp_ns, &pose, &TrackReport::default());
         }
+        self.note_travelled(aids.travelled);
         let before_ns = self.last_timestamp_ns.replace(timestamp_ns);
         let predicted = self.predict(timestamp_ns);
         if before_ns.is_some_and(|before_ns| self.is_frozen(seconds_between(before_ns, timestamp_ns))) {
@@ -249,7 +253,7 @@ impl<'m> Tracker<'m> {
                 self.motion.timestamp_ns = self.newest.timestamp_ns;
             }
             if self.wants_keyframe(&pose, &track_report) {
-                self.promote(frame_index, timestamp_ns, &mut pose);
+                self.promote(frame_index, timestamp_ns, &mut pose, aids);
             } else {
                 self.note_drift(&pose);
             }
@@ -357,6 +361,7 @@ impl<'m> Tracker<'m> {
             direction_anomaly_rad: pose.side_slip_rad as f32,
             step_m: (self.newest.camera_from_world * world_from_camera).translation.vector.norm() as f32,
             scale_ratio: pose.scale_ratio as f32,
+            scale_sigma: libm::sqrt(self.scale.variance()) as f32,
             n_road: pose.n_road as u32,
         }
     }

@@ -4,6 +4,7 @@ use super::schema::{Kind, Range, Scalar, Setting};
 use crate::mapping::MAX_OLDER_VIEWS;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
+use kilogs_core::scale::ScaleSource;
 use kilogs_core::tracking::{DynamicFilter, PYRAMID_LEVELS, PoseModels};
 use std::time::Duration;
 
@@ -112,9 +113,17 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.below_road_ratio", Range::closed(0.0, 1.0), tracking.tracker.below_road_ratio),
     number!("tracking.normal_adaptation", Range::closed(0.0, 1.0), tracking.tracker.normal_adaptation),
     number!("tracking.max_normal_deviation_rad", Range::closed(0.0, 0.2), tracking.tracker.max_normal_deviation_rad),
+    Setting {
+        key: "tracking.scale_source",
+        kind: Kind::Choice {
+            available: &["ground_plane", "wheel_speed"],
+            planned: &["depth_network"],
+            put: put_scale_source,
+        },
+    },
     number!("tracking.road_nearest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[0]),
     number!("tracking.road_farthest_m", Range::closed(2.0, 60.0), tracking.tracker.road.distance_m[1]),
-    number!("tracking.road_half_width_m", Range::closed(0.5, 4.0), tracking.tracker.road.half_width_m),
+    number!("tracking.road_half_width_m", Range::closed(0.5, 6.0), tracking.tracker.road.half_width_m),
     number!("tracking.road_standing_grey", Range::closed(0.0, 50.0), tracking.tracker.road.standing_grey),
     number!("tracking.road_bend", Range::closed(0.0, 1.0), tracking.tracker.road.bend),
     number!("tracking.road_pitch_sigma_rad", Range::closed(0.001, 0.1), tracking.tracker.road.normal_sigma_rad[0]),
@@ -124,6 +133,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     whole!("tracking.road_min_pixels", Range::closed(50.0, 5000.0), tracking.tracker.road.min_pixels),
     number!("tracking.road_min_correlation", Range::closed(0.0, 1.0), tracking.tracker.road.min_correlation),
     number!("tracking.road_min_flow_px", Range::closed(1.0, 50.0), tracking.tracker.road.min_flow_px),
+    number!("tracking.road_min_margin", Range::closed(0.0, 50.0), tracking.tracker.road.min_margin),
     number!("tracking.scale_first_sigma", Range::closed(0.1, 3.0), tracking.tracker.scale.first_sigma),
     number!("tracking.scale_drift_per_sqrt_m", Range::closed(0.0001, 0.05), tracking.tracker.scale.drift_per_sqrt_m),
     number!(
@@ -136,6 +146,13 @@ pub(super) const SETTINGS: &[Setting] = &[
         Range::closed(0.0, 0.001),
         tracking.tracker.scale.drift_rate_change_per_m
     ),
+    number!(
+        "tracking.scale_turn_drift_per_sqrt_rad",
+        Range::closed(0.0, 0.2),
+        tracking.tracker.scale.turn_drift_per_sqrt_rad
+    ),
+    number!("tracking.scale_network_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.network_sigma),
+    number!("tracking.scale_wheel_sigma", Range::closed(0.001, 0.3), tracking.tracker.scale.wheel_sigma),
     number!("tracking.scale_measurement_sigma", Range::closed(0.005, 0.3), tracking.tracker.scale.measurement_sigma),
     number!("tracking.scale_correlation_m", Range::closed(0.0, 100.0), tracking.tracker.scale.correlation_m),
     number!("tracking.scale_early_sigma", Range::closed(0.0, 1.0), tracking.tracker.scale.early_sigma),
@@ -232,6 +249,13 @@ fn put_pose_models(settings: &mut Settings, word: &str) {
         "essential" => PoseModels::Essential,
         "pnp" => PoseModels::Pnp,
         _ => PoseModels::Both,
+    };
+}
+
+fn put_scale_source(settings: &mut Settings, word: &str) {
+    settings.tracking.tracker.scale_source = match word {
+        "wheel_speed" => ScaleSource::WheelSpeed,
+        _ => ScaleSource::GroundPlane,
     };
 }
 

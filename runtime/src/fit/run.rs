@@ -166,6 +166,7 @@ impl FrameReports {
             direction_anomaly_rad: f32::NAN,
             step_m: f32::NAN,
             scale_ratio: f32::NAN,
+            scale_sigma: f32::NAN,
             n_road: 0,
         }
     }

@@ -31,6 +31,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         direction_anomaly_rad: f32::NAN,
         step_m: 1.25,
         scale_ratio: 1.0,
+        scale_sigma: 0.02,
         n_road: 40,
     }
 }

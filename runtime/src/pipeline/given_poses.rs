@@ -133,6 +133,7 @@ mod tests {
             direction_anomaly_rad: 0.0,
             step_m: 0.0,
             scale_ratio: 0.0,
+            scale_sigma: 0.0,
             n_road: 0,
         }
     }
