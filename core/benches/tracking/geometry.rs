@@ -1,14 +1,16 @@
 //! Poses from matches whose truth is known.
 
 use super::clock::{Times, median};
-use super::problems::{CAMERA, NOISE_PX, TwoViews, camera_of_window, second_from_first, window};
+use super::problems::{CAMERA, NOISE_PX, Scene, TwoViews, camera_of_window, second_from_first, window};
 use kilogs_core::bundle::{BundleSettings, ReducedSystem, adjust};
 use kilogs_core::conventions::Rigid;
 use kilogs_core::keyframe::WINDOW;
 use kilogs_core::math::Rng;
 use kilogs_core::pose::{
-    Match, PnpSettings, RelativePose, RelativeSettings, estimate_pnp, estimate_relative, five_point,
+    Match, PnpSettings, RelativePose, RelativeSettings, estimate_homography, estimate_pnp, estimate_relative,
+    five_point,
 };
+use nalgebra::{Matrix3, Vector3};
 use std::hint::black_box;
 use std::path::Path;
 
@@ -17,6 +19,9 @@ const OUTLIER_RATIOS: [f64; 2] = [0.3, 0.6];
 /// The peers' settings: 1 px, 0.999.
 const RELATIVE: RelativeSettings =
     RelativeSettings { inlier_z1: 1.0 / CAMERA.fx, confidence: 0.999, trials: [20, 10_000], local_iterations: 10 };
+/// The peers' settings: 2 px in one image, as much as 1.4 px over both; 0.999.
+const HOMOGRAPHY: RelativeSettings =
+    RelativeSettings { inlier_z1: 1.4 / CAMERA.fx, confidence: 0.999, trials: [20, 1000], local_iterations: 10 };
 /// The peers' settings: 2 px, 0.999.
 const PNP: PnpSettings = PnpSettings {
     noise_z1: NOISE_PX / CAMERA.fx,
@@ -30,15 +35,17 @@ const LANDMARKS: usize = 1000;
 const BUNDLE: BundleSettings =
     BundleSettings { noise_z1: NOISE_PX / CAMERA.fx, huber_sigmas: 1.345, outlier_sigmas: 5.0, max_iterations: 8 };
 
-fn problems(outlier_ratio: f64, n_seeds: u64) -> Vec<TwoViews> {
-    (0..n_seeds).map(|seed| TwoViews::new(MATCHES, outlier_ratio, seed)).collect()
+fn problems(scene: Scene, outlier_ratio: f64, n_seeds: u64) -> Vec<TwoViews> {
+    (0..n_seeds).map(|seed| TwoViews::new(scene, MATCHES, outlier_ratio, seed)).collect()
 }
 
-/// One file per share of outliers: all problems, one after the other.
+/// One file per scene and share of outliers: all problems, one after the other.
 pub fn store(n_seeds: u64, folder: &Path) -> std::io::Result<()> {
-    for ratio in OUTLIER_RATIOS {
-        let bytes: Vec<u8> = problems(ratio, n_seeds).iter().flat_map(TwoViews::bytes).collect();
-        std::fs::write(folder.join(format!("two_views_{:.0}.f64", 100.0 * ratio)), bytes)?;
+    for (name, scene) in [("two_views", Scene::Space), ("plane", Scene::Plane)] {
+        for ratio in OUTLIER_RATIOS {
+            let bytes: Vec<u8> = problems(scene, ratio, n_seeds).iter().flat_map(TwoViews::bytes).collect();
+            std::fs::write(folder.join(format!("{name}_{:.0}.f64", 100.0 * ratio)), bytes)?;
+        }
     }
     Ok(())
 }
@@ -52,12 +59,12 @@ pub fn print_essential(n_seeds: u64) {
     println!(
         "| relative pose | ms | rotation error, deg | direction error, deg | samples |\n|---|---:|---:|---:|---:|"
     );
-    let exact = TwoViews::new(MATCHES, 0.0, 0).matches();
+    let exact = TwoViews::new(Scene::Space, MATCHES, 0.0, 0).matches();
     let samples: Vec<[Match; 5]> = exact.as_chunks().0.to_vec();
     let times = Times::of(0..20, |_| samples.iter().for_each(|sample| drop(black_box(five_point(sample)))));
     println!("| {} five-point samples, no outliers | {} | - | - | {} |", samples.len(), times.text(), samples.len());
     for ratio in OUTLIER_RATIOS {
-        let problems: Vec<_> = problems(ratio, n_seeds).iter().map(TwoViews::matches).collect();
+        let problems: Vec<_> = problems(Scene::Space, ratio, n_seeds).iter().map(TwoViews::matches).collect();
         let (mut found, mut is_inlier) = (Vec::new(), vec![false; MATCHES]);
         let times = Times::of(0..problems.len(), |i| {
             let mut rng = Rng::new(1, i as u64, 1);
@@ -80,13 +87,47 @@ pub fn print_essential(n_seeds: u64) {
     println!();
 }
 
+/// Mean distance of the exact points from where a homography puts them in the second image, px.
+fn transfer_error_px(homography: &Matrix3<f64>, points: &[([f64; 2], [f64; 2], [f64; 3])]) -> f64 {
+    let error = |&(_, _, point): &([f64; 2], [f64; 2], [f64; 3])| {
+        let point = Vector3::from(point);
+        let (found, exact) = (homography * (point / point.z), second_from_first() * nalgebra::Point3::from(point));
+        CAMERA.fx * (found.xy() / found.z - exact.coords.xy() / exact.z).norm()
+    };
+    points.iter().map(error).sum::<f64>() / points.len() as f64
+}
+
+/// The robust loop around the four-point solver, on a plane.
+pub fn print_homography(n_seeds: u64) {
+    println!("| homography | ms | mean transfer error, px | samples |\n|---|---:|---:|---:|");
+    for ratio in OUTLIER_RATIOS {
+        let problems: Vec<_> =
+            problems(Scene::Plane, ratio, n_seeds).iter().map(|p| (p.matches(), p.points.clone())).collect();
+        let (mut found, mut is_inlier) = (Vec::new(), vec![false; MATCHES]);
+        let times = Times::of(0..problems.len(), |i| {
+            let mut rng = Rng::new(1, i as u64, 3);
+            found.extend(estimate_homography(&problems[i].0, &HOMOGRAPHY, &mut rng, &mut is_inlier));
+        });
+        let errors = found.iter().zip(&problems).map(|(f, p)| transfer_error_px(&f.second_from_first, &p.1));
+        println!(
+            "| {MATCHES} matches, {:.0} % outliers, {} problems | {} | {:.3} | {:.0} |",
+            100.0 * ratio,
+            found.len(),
+            times.text(),
+            median(errors.collect()),
+            median(found.iter().map(|estimate| estimate.n_trials as f64).collect())
+        );
+    }
+    println!();
+}
+
 /// The robust loop around P3P, without a prediction.
 pub fn print_pnp(n_seeds: u64) {
     println!(
         "| pose from landmarks | ms | rotation error, deg | position error, m | samples |\n|---|---:|---:|---:|---:|"
     );
     for ratio in OUTLIER_RATIOS {
-        let problems: Vec<_> = problems(ratio, n_seeds).iter().map(TwoViews::landmark_matches).collect();
+        let problems: Vec<_> = problems(Scene::Space, ratio, n_seeds).iter().map(TwoViews::landmark_matches).collect();
         let (mut found, mut is_inlier) = (Vec::new(), vec![false; MATCHES]);
         let times = Times::of(0..problems.len(), |i| {
             let mut rng = Rng::new(1, i as u64, 2);

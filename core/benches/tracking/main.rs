@@ -18,7 +18,7 @@ struct Options {
     /// Folder shared with peers.py: its two pictures are read, all problems are written. Without it, pictures are made up.
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
-    /// Only tables whose name contains this: images, matching, essential, pnp or bundle.
+    /// Only tables whose name contains this: images, matching, essential, homography, pnp or bundle.
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
     /// Problems per robust estimation.
@@ -53,6 +53,9 @@ fn main() -> std::io::Result<()> {
     }
     if wanted("essential") {
         geometry::print_essential(options.seeds);
+    }
+    if wanted("homography") {
+        geometry::print_homography(options.seeds);
     }
     if wanted("pnp") {
         geometry::print_pnp(options.seeds);

@@ -96,6 +96,27 @@ def poselib_essential(p, q):
     return pose.R, pose.t
 
 
+def transfer_error(found, points):
+    exact = points @ ROTATION.T + TRANSLATION
+    moved = (points / points[:, 2:]) @ K.T @ found.T
+    exact_px = (exact / exact[:, 2:]) @ K.T
+    return np.mean(np.linalg.norm(moved[:, :2] / moved[:, 2:] - exact_px[:, :2], axis=1))
+
+
+def homography(name, problems, solve):
+    ms, results = timed(range(len(problems)), lambda i: solve(problems[i][:, :2].copy(), problems[i][:, 2:4].copy()))
+    errors = [transfer_error(h, p[:, 4:]) for h, p in zip(results, problems)]
+    print("| %s | %s | %.3f |" % (name, ms, np.median(errors)), flush=True)
+
+
+def opencv_homography(p, q):
+    return cv2.findHomography(p, q, cv2.USAC_MAGSAC, 2.0, maxIters=1000, confidence=0.999)[0]
+
+
+def poselib_homography(p, q):
+    return poselib.estimate_homography(p, q, {"max_reproj_error": 2.0, "success_prob": 0.999}, {})[0]
+
+
 def absolute(name, problems, solve):
     ms, results = timed(range(len(problems)), lambda i: solve(problems[i][:, 2:4].copy(), problems[i][:, 4:].copy()))
     print("| %s | %s | %.4f | %.4f |" % (name, ms, np.median([rotation_error(r) for r, _ in results]),
@@ -128,14 +149,19 @@ def main():
     print("OpenCV %s, PoseLib %s" % (cv2.__version__, poselib.__version__))
     images()
     matching()
-    stored = {ratio: np.fromfile("%s/two_views_%d.f64" % (FOLDER, ratio)).reshape(-1, 1000, 7) for ratio in (30, 60)}
-    if len(sys.argv) > 3:
-        stored = {ratio: problems[:int(sys.argv[3])] for ratio, problems in stored.items()}
+    n_problems = int(sys.argv[3]) if len(sys.argv) > 3 else None
+    stored, planes = ({ratio: np.fromfile("%s/%s_%d.f64" % (FOLDER, name, ratio)).reshape(-1, 1000, 7)[:n_problems]
+                       for ratio in (30, 60)} for name in ("two_views", "plane"))
     print("\n| relative pose | ms | rotation error, deg | direction error, deg |\n|---|---:|---:|---:|")
     for ratio, problems in stored.items():
         label = "%d %% outliers, %d problems: " % (ratio, len(problems))
         essential(label + "OpenCV USAC_MAGSAC", problems, opencv_essential(cv2.USAC_MAGSAC))
         essential(label + "PoseLib", problems, poselib_essential)
+    print("\n| homography | ms | mean transfer error, px |\n|---|---:|---:|")
+    for ratio, problems in planes.items():
+        label = "%d %% outliers, %d problems: " % (ratio, len(problems))
+        homography(label + "OpenCV USAC_MAGSAC", problems, opencv_homography)
+        homography(label + "PoseLib", problems, poselib_homography)
     print("\n| pose from landmarks | ms | rotation error, deg | position error, m |\n|---|---:|---:|---:|")
     for ratio, problems in stored.items():
         label = "%d %% outliers, %d problems: " % (ratio, len(problems))

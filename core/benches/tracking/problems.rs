@@ -13,6 +13,17 @@ pub const CAMERA: Pinhole = Pinhole { width: 1241, height: 376, fx: 718.856, fy:
 pub const NOISE_PX: f64 = 0.5;
 const DEPTH_M: [f64; 2] = [5.0, 50.0];
 const BORDER_PX: f64 = 20.0;
+/// Points of a [`Scene::Plane`] have 1 as their product with this: 12 m ahead.
+const PLANE_PER_M: Vector3<f64> = Vector3::new(0.04, 0.03, 1.0 / 12.0);
+
+/// Where the points lie.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Scene {
+    /// At all depths.
+    Space,
+    /// On one slanted plane.
+    Plane,
+}
 
 /// Points in two images, some of them outliers.
 pub struct TwoViews {
@@ -35,7 +46,7 @@ pub fn normal(rng: &mut Rng) -> f64 {
 
 impl TwoViews {
     /// `n` points of which a share are outliers, uniform over the second image.
-    pub fn new(n: usize, outlier_ratio: f64, seed: u64) -> Self {
+    pub fn new(scene: Scene, n: usize, outlier_ratio: f64, seed: u64) -> Self {
         let mut rng = Rng::new(seed, n as u64, (outlier_ratio * 100.0) as u64);
         let n_outliers = (outlier_ratio * n as f64) as usize;
         let (width, height) = (f64::from(CAMERA.width), f64::from(CAMERA.height));
@@ -46,7 +57,9 @@ impl TwoViews {
                 within(BORDER_PX, height - BORDER_PX, &mut rng),
             );
             let z1 = CAMERA.unproject_z1(&pixel);
-            let point = Vector3::new(z1.x, z1.y, 1.0) * within(DEPTH_M[0], DEPTH_M[1], &mut rng);
+            let depth_m = within(DEPTH_M[0], DEPTH_M[1], &mut rng);
+            let ray = Vector3::new(z1.x, z1.y, 1.0);
+            let point = if scene == Scene::Plane { ray / PLANE_PER_M.dot(&ray) } else { ray * depth_m };
             let seen = CAMERA.project(&(second_from_first() * Point3::from(point)).coords).unwrap_or_default();
             let mut noisy = |p: Vector2<f64>| [p.x + NOISE_PX * normal(&mut rng), p.y + NOISE_PX * normal(&mut rng)];
             let (first, mut second) = (noisy(pixel), noisy(seen));
