@@ -1,5 +1,7 @@
 //! Shared helpers of the integration tests.
 
 pub mod camera;
+pub mod matchers;
 pub mod program;
 pub mod tracker;
+pub mod truth;

@@ -1,21 +1,17 @@
 //! Is the odometry as wrong as it says?
 
-use kilogs_camera::sim::{SimArgs, Simulator, Waypoint};
+use kilogs_camera::sim::{SimArgs, Simulator};
 use kilogs_camera::source::FrameSource;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::frame::ImageView;
 use kilogs_core::tracking::FrameReport;
 use kilogs_tests::tracker::with_tracker;
-use nalgebra::{Translation3, UnitQuaternion, Vector3, Vector6};
+use kilogs_tests::truth::world_from_camera;
+use nalgebra::Vector6;
 use std::f64::consts::TAU;
 use std::path::Path;
 
 const SIZE: [u32; 2] = [416, 128];
-
-fn world_from_camera(at: &Waypoint) -> Rigid {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::y() * at.heading_rad);
-    Rigid::from_parts(Translation3::new(at.x, 0.0, at.z), turn)
-}
 
 /// Three drives that nothing was fitted to: `CLAIM_FACTOR` (core/src/tracking/drift.rs) is from the towns 1 and 2 at 10
 /// frames a second. A town with corners at 5 to 9 m/s, another one with smaller steps, and a road that winds at 12 m/s.
