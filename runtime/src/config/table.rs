@@ -66,7 +66,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     },
     Setting {
         key: "tracking.matcher",
-        kind: Kind::Choice { available: &["classical"], planned: &["xfeat", "disk"], put: put_matcher },
+        kind: Kind::Choice { available: &["classical", "xfeat", "disk"], planned: &[], put: put_matcher },
     },
     whole!("tracking.lk_levels", Range::closed(1.0, PYRAMID_LEVELS as f64), tracking.tracker.tracks.lk.n_levels),
     whole!("tracking.lk_max_steps", Range::closed(1.0, 100.0), tracking.tracker.tracks.lk.max_steps),
@@ -116,8 +116,8 @@ pub(super) const SETTINGS: &[Setting] = &[
     Setting {
         key: "tracking.scale_source",
         kind: Kind::Choice {
-            available: &["ground_plane", "wheel_speed"],
-            planned: &["depth_network"],
+            available: &["ground_plane", "depth_network", "wheel_speed"],
+            planned: &[],
             put: put_scale_source,
         },
     },
@@ -254,6 +254,7 @@ fn put_pose_models(settings: &mut Settings, word: &str) {
 
 fn put_scale_source(settings: &mut Settings, word: &str) {
     settings.tracking.tracker.scale_source = match word {
+        "depth_network" => ScaleSource::DepthNetwork,
         "wheel_speed" => ScaleSource::WheelSpeed,
         _ => ScaleSource::GroundPlane,
     };

@@ -52,7 +52,6 @@ fn a_bad_setting_names_key_value_range_and_origin() {
     check(None, &["mapping.resolution=half"], &["half", "not a number"]);
     check(None, &["mapping.enabled=maybe"], &["mapping.enabled", "neither true nor false"]);
     check(None, &["tracking.matcher=orb"], &["tracking.matcher", "orb", "not a choice", "classical"]);
-    check(None, &["tracking.matcher=xfeat"], &["xfeat", "not available in this version", "classical"]);
     check(None, &["tracking.dense_fallback=maybe"], &["maybe", "not a choice", "on"]);
     check(
         None,

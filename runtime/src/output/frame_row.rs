@@ -8,10 +8,10 @@ use kilogs_core::tracking::{FrameReport, FrameStatus, MatchSource, PoseModel, St
 
 /// Columns before the milliseconds per stage.
 const COLUMNS: &str = "index,t,status,reason,keyframe,model,matches,n_tracks,n_matches,n_inliers,n_dynamic,n_road,median_flow_px,\
-     gric_essential,gric_homography,rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio";
+     gric_essential,gric_homography,rotation_anomaly_deg,direction_anomaly_deg,step_m,scale_ratio,scale_sigma";
 
 /// Columns of a dropped frame between its status and its (absent) stage times.
-const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,,,,";
+const NOTHING_MEASURED: &str = ",never_arrived,0,,,,,,,,,,,,,,,";
 
 pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
     csv.write(format_args!("{COLUMNS}"))?;
@@ -21,7 +21,7 @@ pub(super) fn write_header(csv: &mut TextSink) -> Result<(), OutputError> {
 
 pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &StageTimes) -> Result<(), OutputError> {
     csv.write(format_args!(
-        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         frame.frame_index,
         Seconds(frame.timestamp_ns),
         status_name(frame.status),
@@ -41,6 +41,7 @@ pub(super) fn write_frame(csv: &mut TextSink, frame: &FrameReport, times: &Stage
         Measured(frame.direction_anomaly_rad.to_degrees()),
         Measured(frame.step_m),
         Measured(frame.scale_ratio),
+        Measured(frame.scale_sigma),
     ))?;
     STAGES.iter().try_for_each(|&(stage, _)| csv.write(format_args!(",{}", Measured(times.ms(stage)))))?;
     csv.write(format_args!("\n"))

@@ -6,12 +6,13 @@ use crate::inference::{Counts, Domain, Wanted};
 use crate::run_error::RunError;
 use crate::settings::Matcher;
 use kilogs_core::correspondence::{
-    DenseMatcher, DenseNode, DenseSettings, DenseStorage, DescriptorMatcher, DescriptorMatcherSettings,
+    DenseMatcher, DenseNode, DenseSettings, DenseStorage, DepthPrior, DescriptorMatcher, DescriptorMatcherSettings,
     DescriptorStorage, ImagePair, PairMatcher, PixelMatch,
 };
 use kilogs_core::features::descriptors::{Feature, half_step_bytes};
 use kilogs_core::features::hamming::{FeatureMatch, Nearest};
 use kilogs_core::features::{Corner, SimdLevel};
+use kilogs_core::scale::ScaleSource;
 use kilogs_core::tracking::{Aids, Travelled};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -20,6 +21,7 @@ use std::sync::atomic::Ordering;
 pub struct Matchers {
     sparse: Sparse,
     dense: Option<Dense>,
+    depth: Option<Box<dyn DepthPrior + Send>>,
     inference: Arc<Counts>,
 }
 
@@ -40,7 +42,7 @@ impl Matchers {
     /// # Errors
     /// [`RunError::Run`] when the storage does not fit the camera, a defect of this function.
     pub fn open(plan: &RunPlan) -> Result<Self, RunError> {
-        let Domain { sparse: learned, dense: learned_dense, counts, .. } = Domain::open(&wanted(plan));
+        let Domain { sparse: learned, dense: learned_dense, depth, counts } = Domain::open(&wanted(plan));
         let sparse = match learned {
             Some(learned) => Sparse::Learned(learned),
             None => Sparse::Descriptors(Box::new(descriptors(plan)?)),
@@ -50,7 +52,8 @@ impl Matchers {
             (true, Some(learned)) => Some(learned),
             (true, None) => Some(dense(plan)?),
         };
-        Ok(Self { sparse, dense: matcher.map(|matcher| Dense { matcher, was_asked: false }), inference: counts })
+        let dense = matcher.map(|matcher| Dense { matcher, was_asked: false });
+        Ok(Self { sparse, dense, depth, inference: counts })
     }
 
     /// What a step may ask; `travelled` is what the wheels say about the way since the frame before.
@@ -60,7 +63,8 @@ impl Matchers {
             Sparse::Learned(matcher) => &mut **matcher,
         };
         let dense = self.dense.as_mut().map(|dense| dense as &mut dyn PairMatcher);
-        Aids { sparse: Some(sparse), dense, travelled, ..Aids::default() }
+        let depth = self.depth.as_mut().map(|depth| &mut **depth as &mut dyn DepthPrior);
+        Aids { sparse: Some(sparse), dense, depth, travelled }
     }
 
     /// Notes how full the work spaces have been.
@@ -85,7 +89,7 @@ fn wanted(plan: &RunPlan) -> Wanted<'_> {
     Wanted {
         matcher,
         dense: plan.settings.tracking.dense_fallback && matcher != Matcher::Classical,
-        depth: false,
+        depth: plan.settings.tracking.tracker.scale_source == ScaleSource::DepthNetwork,
         settings: &plan.settings.inference,
         image: (plan.camera.width as usize, plan.camera.height as usize),
         focal_px: plan.camera.fx as f32,

@@ -192,7 +192,8 @@ impl<'run> Supervisor<'run> {
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
-        let scale_source = if plan.given_poses.is_some() { ScaleSource::GivenPoses } else { ScaleSource::GroundPlane };
+        let measured = ScaleSource::from(plan.settings.tracking.tracker.scale_source);
+        let scale_source = if plan.given_poses.is_some() { ScaleSource::GivenPoses } else { measured };
         let tally = Tally::with_scale_source(scale_source);
         Ok(Self {
             plan,

@@ -29,6 +29,10 @@ pub enum ScaleSource {
     /// The camera's height over the road.
     #[default]
     GroundPlane,
+    /// A trained network's depth.
+    DepthNetwork,
+    /// The vehicle's wheels.
+    WheelSpeed,
     /// Poses that were given.
     GivenPoses,
 }
@@ -110,11 +114,23 @@ impl Tally {
     }
 }
 
+impl From<kilogs_core::scale::ScaleSource> for ScaleSource {
+    fn from(source: kilogs_core::scale::ScaleSource) -> Self {
+        match source {
+            kilogs_core::scale::ScaleSource::GroundPlane => Self::GroundPlane,
+            kilogs_core::scale::ScaleSource::DepthNetwork => Self::DepthNetwork,
+            kilogs_core::scale::ScaleSource::WheelSpeed => Self::WheelSpeed,
+        }
+    }
+}
+
 impl ScaleSource {
     /// As in `report.json`.
     fn name(self) -> &'static str {
         match self {
             Self::GroundPlane => "ground_plane",
+            Self::DepthNetwork => "depth_network",
+            Self::WheelSpeed => "wheel_speed",
             Self::GivenPoses => "given_poses",
         }
     }

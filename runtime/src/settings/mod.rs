@@ -4,6 +4,7 @@
 
 use crate::inference::Role;
 use crate::mapping::MapperSettings;
+use kilogs_core::scale::ScaleSource;
 use kilogs_core::tracking::TrackingSettings as TrackerSettings;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -107,7 +108,7 @@ impl Settings {
 
     /// Trained networks run beside the tracker.
     pub fn has_networks(&self) -> bool {
-        self.tracking.matcher != Matcher::Classical
+        self.tracking.matcher != Matcher::Classical || self.tracking.tracker.scale_source == ScaleSource::DepthNetwork
     }
 
     /// Two settings that contradict each other: the key to change, and what is wrong.
