@@ -136,4 +136,14 @@ mod memory {
         }
         0
     }
+
+    /// Whether two areas of `n` bytes differ.
+    ///
+    /// # Safety
+    /// As C's `bcmp`: both areas are valid for `n` bytes.
+    #[unsafe(no_mangle)]
+    unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, n: usize) -> i32 {
+        // SAFETY: the same contract.
+        unsafe { memcmp(a, b, n) }
+    }
 }
