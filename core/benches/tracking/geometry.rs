@@ -7,10 +7,10 @@ use kilogs_core::conventions::Rigid;
 use kilogs_core::keyframe::WINDOW;
 use kilogs_core::math::Rng;
 use kilogs_core::pose::{
-    Match, PnpSettings, RelativePose, RelativeSettings, estimate_homography, estimate_pnp, estimate_relative,
-    five_point,
+    LandmarkMatch, Match, PnpSettings, RelativePose, RelativeSettings, epnp, estimate_homography, estimate_pnp,
+    estimate_relative, five_point,
 };
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use std::hint::black_box;
 use std::path::Path;
 
@@ -121,10 +121,31 @@ pub fn print_homography(n_seeds: u64) {
     println!();
 }
 
+/// Landmarks of a pose without a start.
+const N_EPNP: usize = 100;
+
+/// A landmark as a place in the reference camera's axes, and where it is seen.
+fn as_point(m: &LandmarkMatch) -> (Vector3<f64>, Vector2<f64>) {
+    (m.reference_z1.push(1.0) / m.inverse_depth, m.seen_z1)
+}
+
 /// The robust loop around P3P, without a prediction.
 pub fn print_pnp(n_seeds: u64) {
     println!(
         "| pose from landmarks | ms | rotation error, deg | position error, m | samples |\n|---|---:|---:|---:|---:|"
+    );
+    let problems: Vec<Vec<_>> = (0..n_seeds)
+        .map(|seed| TwoViews::new(Scene::Space, N_EPNP, 0.0, seed).landmark_matches().iter().map(as_point).collect())
+        .collect();
+    let mut found = Vec::new();
+    let times = Times::of(0..problems.len(), |i| found.extend(epnp(problems[i].iter().copied())));
+    let truth = second_from_first();
+    println!(
+        "| EPnP, {N_EPNP} landmarks, no outliers, {} problems | {} | {:.4} | {:.4} | - |",
+        found.len(),
+        times.text(),
+        median(found.iter().map(|pose| pose.rotation.angle_to(&truth.rotation).to_degrees()).collect()),
+        median(found.iter().map(|pose| (pose.inverse() * truth).translation.vector.norm()).collect())
     );
     for ratio in OUTLIER_RATIOS {
         let problems: Vec<_> = problems(Scene::Space, ratio, n_seeds).iter().map(TwoViews::landmark_matches).collect();

@@ -6,6 +6,7 @@
 //! the heap.
 
 mod damped;
+mod epnp;
 mod essential;
 mod five_point;
 mod gric;
@@ -22,6 +23,7 @@ mod robust;
 mod step_length;
 mod triangulate;
 
+pub use epnp::epnp;
 pub use essential::{RelativePose, decompose_essential, essential_of, sampson_distance};
 pub use five_point::five_point;
 pub use gric::{gric_essential, gric_homography};

@@ -93,7 +93,7 @@ impl Settings {
         Self {
             tracking: TrackingSettings {
                 tracker: TrackerSettings::STANDARD,
-                dense_fallback: false,
+                dense_fallback: true,
                 matcher: Matcher::Classical,
             },
             mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
