@@ -134,11 +134,11 @@ pub fn print_pnp(n_seeds: u64) {
     println!(
         "| pose from landmarks | ms | rotation error, deg | position error, m | samples |\n|---|---:|---:|---:|---:|"
     );
-    let problems: Vec<Vec<_>> = (0..n_seeds)
+    let few: Vec<Vec<_>> = (0..n_seeds)
         .map(|seed| TwoViews::new(Scene::Space, N_EPNP, 0.0, seed).landmark_matches().iter().map(as_point).collect())
         .collect();
     let mut found = Vec::new();
-    let times = Times::of(0..problems.len(), |i| found.extend(epnp(problems[i].iter().copied())));
+    let times = Times::of(0..few.len(), |i| found.extend(epnp(few[i].iter().copied())));
     let truth = second_from_first();
     println!(
         "| EPnP, {N_EPNP} landmarks, no outliers, {} problems | {} | {:.4} | {:.4} | - |",
