@@ -35,7 +35,7 @@ const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 
 /// # Source
 /// Lepetit, Moreno-Noguer & Fua 2009, "EPnP: an accurate O(n) solution to the PnP problem", sec. 3. Own implementation.
 ///
-/// [`p3p`]: super::p3p
+/// [`p3p`]: super::p3p()
 pub fn epnp(points: impl Iterator<Item = (Vector3<f64>, Vector2<f64>)> + Clone) -> Option<Rigid> {
     let n = points.clone().count();
     if n < MIN_POINTS {
