@@ -11,18 +11,19 @@ use std::path::Path;
 const SCALE_TOLERANCE: f64 = 0.10;
 
 /// Rows whose bytes stand in another row, or cannot be told from the rest of the process.
-const NOT_OBSERVED: [&str; 5] = [
+const NOT_OBSERVED: [&str; 6] = [
     "map.gaussians_per_anchor",
     // No memory while no step looks at depth.
     "map.keyframe_depths",
+    // No memory without trained networks.
+    "inference.arena",
     "store.page_anchors",
     "process.code_and_stacks",
     "process.compute_driver",
 ];
 
 /// Rows of what is only there for when tracks break, or for data that this drive has none of.
-const RESTS_ON_A_GOOD_DRIVE: [&str; 4] =
-    ["tracking.features", "tracking.dense_matchers", "tracking.speed_readings", "inference.arena"];
+const RESTS_ON_A_GOOD_DRIVE: [&str; 3] = ["tracking.features", "tracking.dense_matchers", "tracking.speed_readings"];
 
 /// Runs `kilogs replay`.
 fn replay(drive: &Drive, out: &Path, n_threads: usize) {
