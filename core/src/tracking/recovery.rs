@@ -3,9 +3,12 @@
 //! Tracks -> (refused) -> sparse matches -> (refused) -> dense matches -> (refused) -> the motion model's prediction.
 //! Matches become tracks of the keyframe again, so that one solver serves all of them and a landmark lives on.
 
+use super::frame_pose::FramePose;
+use super::matches::z1_of;
 use super::tracker::Tracker;
 use crate::correspondence::{DepthPrior, ImagePair, PairMatcher};
 use crate::features::tracks::{TrackImages, TrackReport};
+use crate::pose::{Match, RelativePose, essential_of, sampson_distance};
 use core::fmt;
 
 /// Where the matches of a frame with its keyframe came from.
@@ -86,6 +89,27 @@ impl Tracker<'_> {
             self.adopt_new_tracks(column);
         }
         true
+    }
+
+    /// Ends the tracks that matches started and the pose contradicts: no solver has looked at those without a landmark,
+    /// and the bundle adjustment would take their depths for granted.
+    pub(super) fn drop_contradicted(&mut self, pose: &FramePose) {
+        let camera_from_keyframe = pose.camera_from_world * self.newest.camera_from_world.inverse();
+        let step_m = camera_from_keyframe.translation.vector.norm();
+        if pose.source == MatchSource::Tracks || step_m < self.settings.motion.min_step_m {
+            return;
+        }
+        let (rotation, direction) = (camera_from_keyframe.rotation, camera_from_keyframe.translation.vector / step_m);
+        let motion = RelativePose { rotation, direction };
+        let essential = essential_of(&motion);
+        let sigmas = self.settings.pnp_inlier_sigmas;
+        let most_z1 = sigmas * self.settings.noise_px_of(pose.source) / self.camera.fx;
+        let camera = self.camera;
+        self.tracks.retain(|track| {
+            let m = Match { first_z1: z1_of(&camera, track.keyframe_px), second_z1: z1_of(&camera, track.current_px) };
+            sampson_distance(&essential, &m).abs() < most_z1 && motion.in_front_of_both(&m)
+        });
+        self.link_landmarks();
     }
 
     /// Landmarks whose tracks live again.

@@ -252,6 +252,7 @@ impl<'m> Tracker<'m> {
                 self.motion.camera_from_world = self.newest.camera_from_world;
                 self.motion.timestamp_ns = self.newest.timestamp_ns;
             }
+            self.drop_contradicted(&pose);
             if self.wants_keyframe(&pose, &track_report) {
                 self.promote(frame_index, timestamp_ns, &mut pose, aids);
             } else {
@@ -293,7 +294,9 @@ impl<'m> Tracker<'m> {
             n_tracks_at_keyframe: self.tracks.n_at_keyframe(),
             width_px,
         };
-        gate::judge(&change, &limits).is_keyframe() && (self.is_started || pose.is_metric)
+        // What matches found again is nearer to the next frame than to a keyframe that tracks could not follow.
+        let was_found_again = pose.source != super::MatchSource::Tracks;
+        (was_found_again || gate::judge(&change, &limits).is_keyframe()) && (self.is_started || pose.is_metric)
     }
 
     /// Whether the current image is the one before once more although the vehicle cannot have stopped in between.
