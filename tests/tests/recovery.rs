@@ -89,7 +89,8 @@ struct Expected {
 }
 
 fn check(name: &str, (kind, degrade): (DriveKind, &[&str]), ask: Ask, expected: &Expected) -> Outcome {
-    const MOST_ATE_M: f64 = 1.5;
+    // Three percent of the 80 to 100 m that are driven: seconds without sight cost one of them.
+    const MOST_ATE_M: f64 = 2.5;
     let outcome = drive(kind, degrade, ask);
     let pnp = outcome.n(|r| r.model == PoseModel::Pnp);
     let matched = outcome.n(|r| r.source != MatchSource::Tracks);
