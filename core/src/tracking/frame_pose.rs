@@ -110,7 +110,9 @@ impl FramePose {
     }
 
     fn of_source(self, source: MatchSource) -> Self {
-        let model = if source == MatchSource::Dense { PoseModel::Dense } else { self.model };
+        // A mere turn stays one: no depth may be learnt from it, however it was seen.
+        let is_dense = source == MatchSource::Dense && self.model != PoseModel::Rotation;
+        let model = if is_dense { PoseModel::Dense } else { self.model };
         Self { model, source, ..self }
     }
 
