@@ -21,6 +21,7 @@ pub mod render_views;
 pub mod telemetry;
 pub mod pipeline;
 pub mod fit;
+pub mod refine;
 
 mod pose_file;
 mod run_error;

@@ -109,6 +109,14 @@ impl Budget {
         Ok(changed)
     }
 
+    /// The same for a map whose anchors have so many Gaussians.
+    #[must_use]
+    pub fn with_gaussians_per_anchor(&self, gaussians_per_anchor: u32) -> Self {
+        let mut changed = self.clone();
+        changed.entries[Row::MapGaussiansPerAnchor as usize].capacity = u64::from(gaussians_per_anchor);
+        changed
+    }
+
     /// Where the budget came from.
     pub fn file(&self) -> &str {
         &self.file

@@ -48,7 +48,8 @@ pub struct FitArgs {
     pub common: CommonArgs,
 }
 
-fn minutes(text: &str) -> Result<f64, String> {
+/// Minutes to train, above 0.
+pub(super) fn minutes(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(minutes) if minutes > 0.0 && minutes <= 1e5 => Ok(minutes),
         _ => Err(format!("\"{text}\" is not a number of minutes above 0")),

@@ -4,6 +4,7 @@ mod common;
 mod demo;
 mod fit;
 mod map_commands;
+mod refine;
 mod replay;
 mod run;
 
@@ -36,6 +37,8 @@ enum Command {
     Run(run::RunArgs),
     /// Train a map from images whose places are known.
     Fit(fit::FitArgs),
+    /// Improve a stored map in place.
+    Refine(refine::RefineArgs),
     /// Judge an output folder against ground truth.
     Eval(kilogs_eval::EvalArgs),
     /// Render views of a stored map.
@@ -78,6 +81,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Replay(args) => replay::run(args),
         Command::Run(args) => run::run(args),
         Command::Fit(args) => fit::run(args),
+        Command::Refine(args) => refine::run(args),
         Command::Eval(args) => Ok(kilogs_eval::run(args)?),
         Command::Render(command) => map_commands::render(command),
         Command::Export(command) => map_commands::export(command),

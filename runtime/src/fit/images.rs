@@ -1,12 +1,43 @@
-//! Images of any view at any resolution, read from the scene and kept as long as a fixed memory allows.
+//! Images of any view at any resolution, read where they are stored and kept as long as a fixed memory allows.
 
 use crate::mapping::{MappingImage, mapping_camera, shrink};
 use kilogs_camera::source::{ImageList, PixelFormat, SourceError};
 use kilogs_core::camera::Pinhole;
 
+/// Where images come from, all of the same size.
+pub(crate) trait ImageSource {
+    /// Why an image cannot be read.
+    type Error;
+
+    /// Bytes of an image.
+    fn bytes(&self) -> usize;
+
+    /// One byte of grey or three of color.
+    fn pixel_format(&self) -> PixelFormat;
+
+    /// Reads an image into memory of [`bytes`](Self::bytes).
+    fn read(&mut self, view_idx: usize, pixels: &mut [u8]) -> Result<(), Self::Error>;
+}
+
+impl ImageSource for ImageList {
+    type Error = SourceError;
+
+    fn bytes(&self) -> usize {
+        Self::bytes(self)
+    }
+
+    fn pixel_format(&self) -> PixelFormat {
+        Self::pixel_format(self)
+    }
+
+    fn read(&mut self, view_idx: usize, pixels: &mut [u8]) -> Result<(), SourceError> {
+        Self::read(self, view_idx, pixels)
+    }
+}
+
 /// Reads images and keeps some of them at the resolution that is trained at present.
-pub(super) struct TrainingImages {
-    list: ImageList,
+pub(crate) struct TrainingImages<S> {
+    source: S,
     native: Pinhole,
     channels: usize,
     /// The image that was decoded last.
@@ -18,40 +49,40 @@ pub(super) struct TrainingImages {
     camera: Pinhole,
 }
 
-impl TrainingImages {
+impl<S: ImageSource> TrainingImages<S> {
     /// Room for `kept_bytes` of images, but at least one.
-    pub(super) fn new(list: ImageList, native: Pinhole, kept_bytes: usize) -> Self {
-        let channels = if list.pixel_format() == PixelFormat::Mono8 { 1 } else { 3 };
-        let kept_bytes = kept_bytes.max(list.bytes());
+    pub(crate) fn new(source: S, native: Pinhole, kept_bytes: usize) -> Self {
+        let channels = if source.pixel_format() == PixelFormat::Mono8 { 1 } else { 3 };
+        let kept_bytes = kept_bytes.max(source.bytes());
         Self {
-            decoded: vec![0; list.bytes()],
+            decoded: vec![0; source.bytes()],
             decoded_idx: None,
             kept: vec![0; kept_bytes],
-            views: vec![None; kept_bytes / list.bytes()],
+            views: vec![None; kept_bytes / source.bytes()],
             camera: native,
             native,
             channels,
-            list,
+            source,
         }
     }
 
     /// One byte of grey or three of color.
-    pub(super) fn channels(&self) -> usize {
+    pub(crate) fn channels(&self) -> usize {
         self.channels
     }
 
     /// An image as it is.
-    pub(super) fn native(&mut self, view_idx: usize) -> Result<MappingImage<'_>, SourceError> {
+    pub(crate) fn native(&mut self, view_idx: usize) -> Result<MappingImage<'_>, S::Error> {
         self.decode(view_idx)?;
         Ok(MappingImage {
             pixels: &self.decoded,
             stride_bytes: self.native.width as usize * self.channels,
-            format: self.list.pixel_format(),
+            format: self.source.pixel_format(),
         })
     }
 
     /// An image at a share of its resolution, with its camera.
-    pub(super) fn at(&mut self, view_idx: usize, resolution: f64) -> Result<(Pinhole, &[u8]), SourceError> {
+    pub(crate) fn at(&mut self, view_idx: usize, resolution: f64) -> Result<(Pinhole, &[u8]), S::Error> {
         let camera = mapping_camera(&self.native, resolution);
         let image_bytes = camera.width as usize * camera.height as usize * self.channels;
         if camera != self.camera {
@@ -66,17 +97,17 @@ impl TrainingImages {
             let image = MappingImage {
                 pixels: &self.decoded,
                 stride_bytes: self.native.width as usize * self.channels,
-                format: self.list.pixel_format(),
+                format: self.source.pixel_format(),
             };
             self.views[slot] = shrink(&image, &self.native, &camera, &mut self.kept[place.clone()]).then_some(view_idx);
         }
         Ok((camera, &self.kept[place]))
     }
 
-    fn decode(&mut self, view_idx: usize) -> Result<(), SourceError> {
+    fn decode(&mut self, view_idx: usize) -> Result<(), S::Error> {
         if self.decoded_idx != Some(view_idx) {
             self.decoded_idx = None;
-            self.list.read(view_idx, &mut self.decoded)?;
+            self.source.read(view_idx, &mut self.decoded)?;
             self.decoded_idx = Some(view_idx);
         }
         Ok(())

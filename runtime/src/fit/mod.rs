@@ -14,7 +14,11 @@ mod schedule;
 mod trainer;
 mod transforms;
 
+pub(crate) use effort::Clock;
 pub use effort::Effort;
+pub(crate) use images::{ImageSource, TrainingImages};
 pub use kitti::line_of;
 pub use run::{FitRequest, run};
 pub use scene::{PosedView, Scene, SceneError, SceneRequest};
+pub(crate) use schedule::step;
+pub(crate) use trainer::shuffle;

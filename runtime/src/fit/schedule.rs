@@ -21,7 +21,7 @@ pub(super) fn resolution(progress: f64, coarse: f64) -> f64 {
 /// scales, rotations and opacities falling to a tenth, 23.52 / 22.40 dB to three tenths, 23.83 / 22.65 dB with scales
 /// and opacities twice as fast, 23.65 / 22.48 dB with only the first offsets twice as fast. A drive gains nothing by
 /// the same rates.
-pub(super) fn step(mapper: &StepSettings, progress: f64) -> StepSettings {
+pub(crate) fn step(mapper: &StepSettings, progress: f64) -> StepSettings {
     let rates = LearningRates {
         offset: LearningRate { start: 2.0 * mapper.rates.offset.start, ..mapper.rates.offset },
         log_scale: falling(mapper.rates.log_scale, 2.0),

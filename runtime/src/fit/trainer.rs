@@ -9,6 +9,7 @@ use crate::map_store::{MapStoreWriter, StoreImage, WriteRefusal, is_held_out_fra
 use crate::mapping::{CHUNK_KEYFRAMES, GivenView, KeyframePacket, Mapper, PacketRefused};
 use crate::run_error::RunError;
 use crate::splat::{StepSettings, TargetImage};
+use kilogs_camera::source::ImageList;
 use kilogs_core::camera::{Mounting, Pinhole};
 use kilogs_core::conventions::quaternion_xyzw;
 use kilogs_core::math::Rng;
@@ -37,7 +38,7 @@ struct Active {
 pub(super) struct Trainer<'a> {
     pub(super) mapper: Mapper,
     pub(super) store: &'a MapStoreWriter,
-    pub(super) images: TrainingImages,
+    pub(super) images: TrainingImages<ImageList>,
     pub(super) views: &'a [PosedView],
     pub(super) points: &'a [Point3<f64>],
     pub(super) native: Pinhole,
@@ -282,7 +283,8 @@ fn packet<'p>(
     }
 }
 
-fn shuffle(order: &mut [usize], rng: &mut Rng) {
+/// Puts views into an order drawn by `rng`.
+pub(crate) fn shuffle(order: &mut [usize], rng: &mut Rng) {
     for last in (1..order.len()).rev() {
         order.swap(last, rng.below(last + 1));
     }

@@ -12,6 +12,7 @@
 //! [`kilogs_core::store`]. Writing happens on a thread of its own behind a queue of fixed size; a reader needs no
 //! index and finds in an interrupted store everything that was completed.
 
+mod editor;
 mod error;
 mod held_out;
 mod jpeg;
@@ -25,6 +26,7 @@ mod writer;
 #[cfg(test)]
 mod tests;
 
+pub use editor::MapStoreEditor;
 pub use error::{Damage, DamageKind, StoreError};
 pub use held_out::{HELD_OUT_PERIOD, HeldOutRule, is_held_out_frame};
 pub use reader::{MapStoreReader, StoreBytes};

@@ -89,6 +89,11 @@ impl MapStoreReader {
         reader
     }
 
+    /// Folder of the map.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// Camera, capacity and counts. Counts are `None` when writing was interrupted.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest

@@ -28,6 +28,7 @@ pub use images::MappingImage;
 pub use list_load::{ListCount, ListLoad};
 pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, MapRefusals, Mapper, PacketRefused};
 pub use optimize::{MAX_OLDER_VIEWS, OptimizeReport};
+pub(crate) use scratch::{NO_GAUSSIAN, NO_HEADER};
 pub use settings::MapperSettings;
 pub use shrink::{mapping_camera, shrink};
 pub use sink::PageSink;

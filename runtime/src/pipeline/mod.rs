@@ -26,7 +26,7 @@ mod tracking_thread;
 pub(crate) use finish::{Concluded, conclude};
 pub use given_poses::GivenPosesPlan;
 pub(crate) use mapping_thread::MappingSummary;
-pub(crate) use memory::{manifest, mapper, store_settings};
+pub(crate) use memory::{backend, manifest, mapper, store_settings};
 pub use plan::{Pace, RunPlan};
 pub(crate) use supervisor::Told;
 pub(crate) use tally::{ScaleSource, Tally};

@@ -5,6 +5,7 @@ use crate::budget::{Budget, ComputeMemory, Location, MappingPlan, Plan, PlanInpu
 use crate::cli::CommonArgs;
 use crate::compute::{BackendPlan, Compute};
 use crate::input::ServiceFormat;
+use crate::map_store::MapStoreReader;
 use crate::run_error::RunError;
 use crate::settings::Settings;
 use crate::splat::cpu::SimdLevel;
@@ -103,6 +104,24 @@ impl RunPlan {
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
         check_views(format.n_frames.unwrap_or(0), budget.capacity(Row::StoreKeyframeTable) as u64)?;
         Self::of_parts(args, format, Pace::LockStep { iterations: 0 }, out, (settings, budget, 1.0))
+    }
+
+    /// The refinement of a stored map: it trains up to native resolution what `map` holds.
+    ///
+    /// # Errors
+    /// [`RunError`] of configuration, budget or device.
+    pub fn for_stored_map(args: &CommonArgs, budget: &Budget, map: &MapStoreReader) -> Result<Self, RunError> {
+        let manifest = map.manifest();
+        let n_frames = Some((map.keyframes().len() + map.held_out().len()) as u64);
+        let (camera, mounting, pixel_format) = (manifest.camera, manifest.mounting, manifest.pixel_format);
+        let format = SourceFormat { camera, mounting, pixel_format, n_frames };
+        let mut settings = mapping_settings(args, &format)?;
+        settings.mapping.mapper.learned_decoder = map.has_learned_decoder();
+        // Nothing is stored of a keyframe's depth.
+        settings.mapping.mapper.step.weights.depth = 0.0;
+        let budget = budget.with_gaussians_per_anchor(manifest.gaussians_per_anchor);
+        let pace = Pace::LockStep { iterations: 0 };
+        Self::of_parts(args, format, pace, map.folder(), (settings, budget, 1.0))
     }
 
     fn of_parts(

@@ -13,6 +13,9 @@ mod viewer;
 
 pub use judge::{JudgedView, MapQuality, judge_map};
 pub use picture::Picture;
+pub(crate) use residency::Residency;
+pub(crate) use selection::{CountedPage, Room, Standpoint, Wanted, pick_pages};
+pub(crate) use viewer::map_from_camera;
 pub use viewer::{MapViewer, ViewerCounts};
 
 #[cfg(test)]

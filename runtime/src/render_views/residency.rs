@@ -21,11 +21,13 @@ struct ResidentPage {
     label: PageLabel,
     finest_level: u8,
     slots: [Vec<u32>; N_LEVELS],
+    /// Some anchor of it was not shown.
+    has_left_out: bool,
 }
 
 /// Book of slots and rows; the backend itself is handed in.
 #[derive(Debug)]
-pub(super) struct Residency {
+pub(crate) struct Residency {
     pages: BTreeMap<u32, ResidentPage>,
     free_slots: Vec<u32>,
     keyframes: RowTable,
@@ -36,13 +38,13 @@ pub(super) struct Residency {
     /// Decoder on its way; empty when the backend draws what is stored.
     decoder: Vec<f32>,
     /// Anchors that were not shown: their keyframe is lost or the backend refused them.
-    pub(super) anchors_left_out: u64,
+    pub(crate) anchors_left_out: u64,
     /// Chunks without a readable background.
-    pub(super) backgrounds_missing: u64,
+    pub(crate) backgrounds_missing: u64,
 }
 
 impl Residency {
-    pub(super) fn new(backend: &dyn SplatBackend) -> Self {
+    pub(crate) fn new(backend: &dyn SplatBackend) -> Self {
         let capacities = backend.capacities();
         let unused = GaussianParams {
             offset: [0.0; 3],
@@ -68,17 +70,33 @@ impl Residency {
     }
 
     /// Whether a page is resident with `finest_level` and all coarser ones.
-    pub(super) fn holds(&self, page_id: u32, finest_level: u8) -> bool {
+    pub(crate) fn holds(&self, page_id: u32, finest_level: u8) -> bool {
         self.pages.get(&page_id).is_some_and(|page| page.finest_level <= finest_level)
     }
 
-    pub(super) fn n_anchors(&self) -> usize {
+    pub(crate) fn n_anchors(&self) -> usize {
         self.pages.values().flat_map(|page| &page.slots).map(Vec::len).sum()
+    }
+
+    /// Pages whose every anchor is in the backend, by id, with the slots of each level.
+    pub(crate) fn whole_pages(&self) -> impl Iterator<Item = (&PageLabel, &[Vec<u32>])> {
+        let is_whole = |page: &&ResidentPage| page.finest_level == 0 && !page.has_left_out;
+        self.pages.values().filter(is_whole).map(|page| (&page.label, page.slots.as_slice()))
+    }
+
+    /// Pages of which some anchors are not in the backend although their levels are.
+    pub(crate) fn incomplete_pages(&self) -> impl Iterator<Item = &PageLabel> {
+        self.pages.values().filter(|page| page.has_left_out).map(|page| &page.label)
+    }
+
+    /// Keyframe whose anchors refer to a row.
+    pub(crate) fn keyframe_in_row(&self, row: u32) -> Option<u32> {
+        self.keyframes.id_in_row(row)
     }
 
     /// Takes out what is not wanted: `finest_level` says from which level on a page stays, `None` not at all.
     /// Returns how many pages left altogether.
-    pub(super) fn evict(&mut self, backend: &mut dyn SplatBackend, finest_level: impl Fn(u32) -> Option<u8>) -> usize {
+    pub(crate) fn evict(&mut self, backend: &mut dyn SplatBackend, finest_level: impl Fn(u32) -> Option<u8>) -> usize {
         let mut leaving = Vec::new();
         for (page_id, page) in &mut self.pages {
             let Some(finest_level) = finest_level(*page_id) else {
@@ -115,7 +133,7 @@ impl Residency {
     ///
     /// # Errors
     /// [`StoreError`] when the page is damaged: nothing of it is shown.
-    pub(super) fn load(
+    pub(crate) fn load(
         &mut self,
         map: &MapStoreReader,
         page: &PageLabel,
@@ -153,7 +171,12 @@ impl Residency {
             self.chunks.release(page.chunk_id);
             return None;
         }
-        Some(ResidentPage { label: *page, finest_level: N_LEVELS as u8, slots: Default::default() })
+        Some(ResidentPage {
+            label: *page,
+            finest_level: N_LEVELS as u8,
+            slots: Default::default(),
+            has_left_out: false,
+        })
     }
 
     fn load_anchors(
@@ -165,7 +188,8 @@ impl Residency {
     ) -> Result<(), StoreError> {
         let missing = finest_level..resident.finest_level;
         let chunk_row = self.chunks.row(resident.label.chunk_id).and_then(|row| u16::try_from(row).ok()).unwrap_or(0);
-        let (_, mut anchors) = map.read_page(resident.label.page_id, &mut self.file)?;
+        let (label, mut anchors) = map.read_page(resident.label.page_id, &mut self.file)?;
+        resident.label = label;
         while let Some((anchor, feature)) = anchors.next_with_feature(&mut self.gaussians) {
             let level = level_of(&anchor);
             if !missing.contains(&level) {
@@ -176,6 +200,7 @@ impl Residency {
             let fits = usize::from(anchor.n_gaussians) <= self.gaussians.len();
             let (Some(row), true, Some(slot)) = (row, fits, self.free_slots.pop()) else {
                 self.anchors_left_out += 1;
+                resident.has_left_out = true;
                 continue;
             };
             let header: AnchorHeader = anchor.to_header(row, chunk_row);
@@ -187,6 +212,7 @@ impl Residency {
                 Some(slots) if refused == 0 => slots.push(slot),
                 _ => {
                     self.anchors_left_out += 1;
+                    resident.has_left_out = true;
                     self.free_slots.push(slot);
                 }
             }
@@ -197,7 +223,7 @@ impl Residency {
 
     /// Reads every page once: how many anchors of each level it has, in the order of the map. What is damaged is
     /// left out and handed to `damaged`.
-    pub(super) fn count_pages(
+    pub(crate) fn count_pages(
         &mut self,
         map: &MapStoreReader,
         damaged: &mut dyn FnMut(&PageLabel, &StoreError),
@@ -240,7 +266,7 @@ impl Residency {
     }
 
     /// Row of a chunk, filled when it is new; `None` when all rows are in use.
-    pub(super) fn hold_chunk(
+    pub(crate) fn hold_chunk(
         &mut self,
         map: &MapStoreReader,
         chunk_id: u32,
@@ -266,7 +292,7 @@ impl Residency {
         Some(row)
     }
 
-    pub(super) fn release_chunk(&mut self, chunk_id: u32) {
+    pub(crate) fn release_chunk(&mut self, chunk_id: u32) {
         self.chunks.release(chunk_id);
     }
 }

@@ -20,6 +20,11 @@ impl RowTable {
         self.rows.get(&id).map(|(row, _)| *row)
     }
 
+    /// Id that a row is held for.
+    pub(super) fn id_in_row(&self, row: u32) -> Option<u32> {
+        self.rows.iter().find(|(_, (held, _))| *held == row).map(|(id, _)| *id)
+    }
+
     /// Holds the row of `id`; true when the row is newly given and must be filled. `None` when all are in use.
     pub(super) fn hold(&mut self, id: u32) -> Option<(u32, bool)> {
         if let Some((row, holders)) = self.rows.get_mut(&id) {
@@ -58,5 +63,6 @@ mod tests {
         assert_eq!(table.hold(90), None, "70 is still held once");
         table.release(70);
         assert_eq!((table.row(70), table.hold(90)), (None, Some((0, true))));
+        assert_eq!([0, 1, 2].map(|row| table.id_in_row(row)), [Some(90), Some(80), None]);
     }
 }

@@ -1,6 +1,7 @@
 //! What a camera needs of which page: everything nearby, of pages farther away only what is seen from afar.
 
 use crate::map_store::MapStoreReader;
+use crate::splat::Capacities;
 use kilogs_core::map::lod::{N_LEVELS, visible_range_m};
 use kilogs_core::store::PageLabel;
 use nalgebra::Vector3;
@@ -12,17 +13,24 @@ const REACH_SLACK_RATIO: f64 = 1.1;
 
 /// What the backend has room for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Room {
-    pub(super) anchors: usize,
-    pub(super) keyframe_rows: usize,
-    pub(super) chunk_rows: usize,
+pub(crate) struct Room {
+    pub(crate) anchors: usize,
+    pub(crate) keyframe_rows: usize,
+    pub(crate) chunk_rows: usize,
+}
+
+impl Room {
+    /// All that a backend has.
+    pub(crate) fn of(capacities: &Capacities) -> Self {
+        Self { anchors: capacities.anchors, keyframe_rows: capacities.keyframe_rows, chunk_rows: capacities.chunk_rows }
+    }
 }
 
 /// A page whose file was found whole, and its anchors of each level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct CountedPage {
-    pub(super) label: PageLabel,
-    pub(super) n_anchors: [u32; N_LEVELS],
+pub(crate) struct CountedPage {
+    pub(crate) label: PageLabel,
+    pub(crate) n_anchors: [u32; N_LEVELS],
 }
 
 impl CountedPage {
@@ -39,10 +47,10 @@ impl CountedPage {
 
 /// A page to be resident with all levels from the finest that can be seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Wanted {
+pub(crate) struct Wanted {
     /// Which of the counted pages.
-    pub(super) page_idx: usize,
-    pub(super) finest_level: u8,
+    pub(crate) page_idx: usize,
+    pub(crate) finest_level: u8,
 }
 
 /// Finest level that can be seen of a page whose nearest keyframe is `distance_m` from the camera.
@@ -51,29 +59,49 @@ fn finest_level_at(distance_m: f64) -> u8 {
     (0..N_LEVELS as u8).take_while(hidden).count() as u8
 }
 
-/// Picks pages by distance from the camera until something is full, nearest first. `view_chunk_id` needs a chunk row
-/// whatever else does. `ranked` and `wanted` are emptied and filled: the caller keeps their memory.
-pub(super) fn pick_pages(
+/// From where a map is looked at.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Standpoint<'a> {
+    /// Where the cameras are, in the map.
+    pub(crate) positions_m: &'a [Vector3<f64>],
+    /// Chunks that need a row whatever else does.
+    pub(crate) chunk_ids: &'a [u32],
+    /// Pages up to so far away are wanted with all their levels, m.
+    pub(crate) whole_within_m: f64,
+}
+
+impl Standpoint<'_> {
+    fn distance_m(&self, map: &MapStoreReader, page: &PageLabel) -> f64 {
+        self.positions_m.iter().map(|position_m| map.page_distance_m(page, position_m)).fold(f64::INFINITY, f64::min)
+    }
+
+    fn finest_level_at(&self, distance_m: f64) -> u8 {
+        if distance_m <= self.whole_within_m { 0 } else { finest_level_at(distance_m) }
+    }
+}
+
+/// Picks pages by distance from the nearest camera until something is full, nearest first. `ranked` and `wanted` are
+/// emptied and filled: the caller keeps their memory. Whether everything that can be seen fits.
+pub(crate) fn pick_pages(
     map: &MapStoreReader,
     pages: &[CountedPage],
-    camera_in_map_m: &Vector3<f64>,
-    view_chunk_id: u32,
+    standpoint: &Standpoint<'_>,
     room: &Room,
     ranked: &mut Vec<(f64, usize)>,
     wanted: &mut Vec<Wanted>,
-) {
+) -> bool {
     ranked.clear();
     wanted.clear();
-    ranked.extend(pages.iter().enumerate().map(|(idx, page)| (map.page_distance_m(&page.label, camera_in_map_m), idx)));
+    ranked.extend(pages.iter().enumerate().map(|(idx, page)| (standpoint.distance_m(map, &page.label), idx)));
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
 
     let mut n_anchors = 0;
     let mut keyframe_ids = BTreeSet::new();
-    let mut chunk_ids = BTreeSet::from([view_chunk_id]);
+    let mut chunk_ids: BTreeSet<u32> = standpoint.chunk_ids.iter().copied().collect();
     for (distance_m, page_idx) in ranked.iter() {
         let page = &pages[*page_idx];
         let label = &page.label;
-        let Some(finest_level) = page.first_level_from(finest_level_at(*distance_m)) else { continue };
+        let Some(finest_level) = page.first_level_from(standpoint.finest_level_at(*distance_m)) else { continue };
         let n_needed = page.anchors_from(finest_level);
         let new_keyframes = (label.first_keyframe_id..=label.last_keyframe_id).filter(|id| !keyframe_ids.contains(id));
         let new_chunk = usize::from(!chunk_ids.contains(&label.chunk_id));
@@ -82,13 +110,14 @@ pub(super) fn pick_pages(
             && chunk_ids.len() + new_chunk <= room.chunk_rows;
         if !fits {
             // A hole near the camera is worse than nothing far away: stop at the first page that is too much.
-            break;
+            return false;
         }
         n_anchors += n_needed;
         keyframe_ids.extend(label.first_keyframe_id..=label.last_keyframe_id);
         chunk_ids.insert(label.chunk_id);
         wanted.push(Wanted { page_idx: *page_idx, finest_level });
     }
+    true
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::Picture;
 use super::residency::Residency;
-use super::selection::{CountedPage, Room, Wanted, pick_pages};
+use super::selection::{CountedPage, Room, Standpoint, Wanted, pick_pages};
 use crate::map_store::{MapStoreReader, StoreError};
 use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
 use crate::splat::{Overflow, SplatBackend, View};
@@ -61,11 +61,7 @@ impl<'a> MapViewer<'a> {
             map,
             residency,
             backend,
-            room: Room {
-                anchors: capacities.anchors,
-                keyframe_rows: capacities.keyframe_rows,
-                chunk_rows: capacities.chunk_rows,
-            },
+            room: Room::of(&capacities),
             lost: BTreeSet::new(),
             ranked: Vec::with_capacity(pages.len()),
             wanted: Vec::with_capacity(pages.len()),
@@ -108,9 +104,10 @@ impl<'a> MapViewer<'a> {
 
     /// Makes resident what can be seen: first what is not needed goes, then what is missing comes.
     fn bring_pages(&mut self, map_from_camera: &Rigid, chunk_id: u32) {
-        let camera_in_map_m = map_from_camera.translation.vector;
+        let positions_m = &[map_from_camera.translation.vector];
+        let standpoint = Standpoint { positions_m, chunk_ids: &[chunk_id], whole_within_m: 0.0 };
         let (pages, room) = (&self.pages, &self.room);
-        pick_pages(self.map, pages, &camera_in_map_m, chunk_id, room, &mut self.ranked, &mut self.wanted);
+        pick_pages(self.map, pages, &standpoint, room, &mut self.ranked, &mut self.wanted);
         let finest_levels: BTreeMap<u32, u8> =
             self.wanted.iter().map(|wanted| (pages[wanted.page_idx].label.page_id, wanted.finest_level)).collect();
         let evicted = self.residency.evict(self.backend, |page_id| finest_levels.get(&page_id).copied());
@@ -141,7 +138,7 @@ impl<'a> MapViewer<'a> {
 }
 
 /// Where the camera of a stored view was; a similarity's scale moves nothing in its own picture.
-pub(super) fn map_from_camera(keyframe: &StoredKeyframe) -> Rigid {
+pub(crate) fn map_from_camera(keyframe: &StoredKeyframe) -> Rigid {
     let [x, y, z] = keyframe.translation_m;
     Rigid::from_parts(Translation3::new(x, y, z), rotation_from_xyzw(keyframe.rotation_xyzw))
 }

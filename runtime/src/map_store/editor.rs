@@ -1,0 +1,99 @@
+//! Replacing parts of a map that is complete.
+
+use super::{MapStoreReader, StoreError, StoreSummary, layout, scan};
+use kilogs_core::store::{
+    ChunkBackground, ChunkLabel, DecoderParams, Manifest, MapCounts, PageEncoder, PageFull, PageLabel, encode_chunk,
+    encode_manifest,
+};
+use std::path::PathBuf;
+
+/// Replaces pages and chunks one by one, each as a whole: whatever ends the process, every file of the map is the old or
+/// the new one.
+///
+/// Memory: the largest page or chunk.
+#[derive(Debug)]
+pub struct MapStoreEditor {
+    folder: PathBuf,
+    manifest: Manifest,
+    memory: Box<[u8]>,
+}
+
+impl MapStoreEditor {
+    /// Begins to edit `map` with room for pages and chunks of `page_bytes`. Writes the manifest as it is, so that a folder
+    /// that cannot be written is known at once.
+    ///
+    /// # Errors
+    /// [`StoreError::Write`] when it cannot.
+    pub fn open(map: &MapStoreReader, page_bytes: usize) -> Result<Self, StoreError> {
+        let (folder, manifest) = (map.folder().to_owned(), *map.manifest());
+        layout::replace_file(&folder.join(layout::MANIFEST), &encode_manifest(&manifest))?;
+        Ok(Self { folder, manifest, memory: vec![0; page_bytes].into() })
+    }
+
+    /// Replaces or adds the page of `label`'s id by what `fill` pushes; its label as written.
+    ///
+    /// # Errors
+    /// [`StoreError::OverBudget`] when it does not fit into the memory, [`StoreError::Write`]; the old page stays.
+    pub fn replace_page(
+        &mut self,
+        label: PageLabel,
+        fill: impl FnOnce(&mut PageEncoder<&mut [u8]>) -> Result<(), PageFull>,
+    ) -> Result<PageLabel, StoreError> {
+        let label = PageLabel { gaussians_per_anchor: self.manifest.gaussians_per_anchor, ..label };
+        let path = layout::page_path(&self.folder, label.page_id);
+        let encoded = PageEncoder::new(&mut *self.memory, label).and_then(|mut page| {
+            fill(&mut page)?;
+            let written = page.label();
+            page.finish().map(|(memory, n_bytes)| (written, memory.get(..n_bytes).unwrap_or_default()))
+        });
+        match encoded {
+            Ok((written, bytes)) => layout::replace_file(&path, bytes).map(|()| written),
+            Err(full) => Err(over_budget(path, full.capacity_bytes as usize)),
+        }
+    }
+
+    /// Replaces a chunk.
+    ///
+    /// # Errors
+    /// Like [`replace_page`](Self::replace_page); the old chunk stays.
+    pub fn replace_chunk(
+        &mut self,
+        label: &ChunkLabel,
+        decoder: DecoderParams<'_>,
+        background: ChunkBackground<'_>,
+    ) -> Result<(), StoreError> {
+        let path = layout::chunk_path(&self.folder, label.chunk_id);
+        match encode_chunk(label, decoder, background, &mut self.memory) {
+            Some(n_bytes) => layout::replace_file(&path, self.memory.get(..n_bytes).unwrap_or_default()),
+            None => Err(over_budget(path, self.memory.len())),
+        }
+    }
+
+    /// Brings the names to the disk and counts anew. The counts of a map whose writing was interrupted stay unknown.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn finish(self) -> Result<StoreSummary, StoreError> {
+        for name in [layout::PAGES, layout::CHUNKS] {
+            layout::sync_folder(&self.folder.join(name))?;
+        }
+        let counts = scan::scan(&self.folder)?.counts();
+        // Files that were lost before stay missed.
+        let kept = |old: MapCounts| MapCounts {
+            keyframes: counts.keyframes.max(old.keyframes),
+            held_out: counts.held_out.max(old.held_out),
+            chunks: counts.chunks.max(old.chunks),
+            pages: counts.pages.max(old.pages),
+            ..counts
+        };
+        let manifest = Manifest { counts: self.manifest.counts.map(kept), ..self.manifest };
+        layout::replace_file(&self.folder.join(layout::MANIFEST), &encode_manifest(&manifest))?;
+        layout::sync_folder(&self.folder)?;
+        Ok(StoreSummary { counts, bytes: scan::bytes(&self.folder)? })
+    }
+}
+
+fn over_budget(path: PathBuf, capacity: usize) -> StoreError {
+    let row = "[store.page_anchors] in memory_budget.toml";
+    StoreError::OverBudget { path, what: "bytes or more", found: capacity + 1, capacity, row }
+}

@@ -1,0 +1,23 @@
+//! `kilogs refine`: a stored map is trained on its own pictures, in place and in the same memory.
+//!
+//! ```text
+//! stretches of the route, twice   schedule.rs    the second time their ends are where their middles were
+//!   pages that they see           stretch.rs     loaded whole near by, coarse levels only far away
+//!   training                      trainer.rs     every picture of the stretch as often as the others
+//!   pages, chunks                 stretch.rs     replaced file by file: whatever happens, the map opens
+//! ```
+//!
+//! Held-out views judge and are in no loss.
+
+mod images;
+mod run;
+mod schedule;
+mod stretch;
+mod summary;
+mod trainer;
+
+pub use run::{RefineRequest, run};
+pub use summary::RefineSummary;
+
+#[cfg(test)]
+mod tests;

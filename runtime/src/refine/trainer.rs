@@ -1,0 +1,158 @@
+//! Trains the map part by part.
+
+use super::images::StoredImages;
+use super::schedule::{self, Part};
+use super::stretch::StretchMemory;
+use crate::fit::{self, Clock, TrainingImages};
+use crate::map_store::{MapStoreReader, StoreError};
+use crate::render_views::map_from_camera;
+use crate::splat::{Exposure, StepSettings, TargetImage, TrainingView, View};
+use kilogs_core::math::Rng;
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+/// Purpose of the draws here (see [`Rng::new`]).
+const VIEW_CHOICE: u64 = 0x7265_666e;
+
+/// Loads, trains and stores one part after the other.
+pub(super) struct Trainer<'a> {
+    pub(super) map: &'a MapStoreReader,
+    pub(super) memory: StretchMemory<'a>,
+    pub(super) images: TrainingImages<StoredImages<'a>>,
+    pub(super) step: StepSettings,
+    /// Resolution of the first steps.
+    pub(super) coarse_resolution: f64,
+    pub(super) learned_exposure: bool,
+    pub(super) clock: Clock,
+    pub(super) seed: u64,
+    pub(super) counts: TrainingCounts,
+    /// Keyframes whose picture cannot be read.
+    pub(super) blind: BTreeSet<usize>,
+    /// Called every few steps with the progress in [0, 1]; false ends the training.
+    pub(super) on_progress: &'a mut dyn FnMut(f64) -> bool,
+}
+
+/// What was done.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TrainingCounts {
+    /// Optimizer steps taken.
+    pub steps: u64,
+    /// Steps that the backend refused.
+    pub refused: u64,
+    /// Time that they took.
+    pub training: Duration,
+    /// Parts of the route that were stored; each place belongs to two.
+    pub parts: u64,
+}
+
+impl Trainer<'_> {
+    /// Passes along the route.
+    ///
+    /// # Errors
+    /// [`StoreError`] when something cannot be stored.
+    pub(super) fn run(&mut self, parts: &[Part]) -> Result<(), StoreError> {
+        for (part, nth) in parts.iter().zip(0..) {
+            if self.spent() >= part.effort.end {
+                continue;
+            }
+            self.memory.load(part.keyframes.clone());
+            let goes_on = self.train_part(part, nth);
+            self.memory.store_and_clear()?;
+            self.counts.parts += 1;
+            if !goes_on {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn spent(&self) -> f64 {
+        self.clock.progress(self.counts.steps + self.counts.refused)
+    }
+
+    /// Trains until the part's share of the effort is spent; false when all training is to end.
+    fn train_part(&mut self, part: &Part, nth: u64) -> bool {
+        let mut order: Vec<usize> = part.keyframes.clone().filter(|view| !self.blind.contains(view)).collect();
+        let mut rng = Rng::new(self.seed, nth, VIEW_CHOICE);
+        self.begin_exposures(part);
+        let mut psnr = MeanPsnr::default();
+        while !order.is_empty() && self.spent() < part.effort.end {
+            fit::shuffle(&mut order, &mut rng);
+            psnr = MeanPsnr::default();
+            for &view in &order {
+                let spent = self.spent();
+                if spent >= part.effort.end {
+                    break;
+                }
+                psnr.add(self.train_on(view, part, spent));
+                if !(self.on_progress)(spent) {
+                    return false;
+                }
+            }
+            order.retain(|view| !self.blind.contains(view));
+        }
+        log::info!(
+            "{:.0} %: keyframes {} to {} at {:.2} dB while they were trained",
+            100.0 * self.spent().min(1.0),
+            part.keyframes.start,
+            part.keyframes.end,
+            psnr.mean_db()
+        );
+        true
+    }
+
+    /// Every picture of the part counts as exposed like the map until steps say otherwise.
+    fn begin_exposures(&mut self, part: &Part) {
+        let n_slots = self.memory.backend().capacities().exposure_slots;
+        for slot in 0..part.keyframes.len().min(n_slots) {
+            self.memory.backend().write_exposure(slot as u32, Exposure::IDENTITY);
+        }
+    }
+
+    /// Takes one step; PSNR before it, `None` when it was not taken.
+    fn train_on(&mut self, view_idx: usize, part: &Part, spent: f64) -> Option<f32> {
+        let keyframe = self.map.keyframes().get(view_idx)?;
+        let progress = part.progress_at(spent);
+        let channels = self.images.channels();
+        let image = self.images.at(view_idx, schedule::resolution(progress, self.coarse_resolution));
+        let (Ok((camera, pixels)), Some(chunk_row)) = (image, self.memory.chunk_row(keyframe.chunk_id)) else {
+            log::warn!("frame {} is not trained on: its picture or its chunk cannot be had", keyframe.frame_index);
+            self.blind.insert(view_idx);
+            return None;
+        };
+        let target = if channels == 1 { TargetImage::Gray8(pixels) } else { TargetImage::Rgb8(pixels) };
+        let view = View { camera_from_map: map_from_camera(keyframe).inverse(), camera, chunk_row };
+        let exposure_slot = self.learned_exposure.then_some((view_idx - part.keyframes.start) as u32);
+        let step = StepSettings { decoder_row: Some(chunk_row), ..schedule::step(&self.step, progress) };
+        let started = Instant::now();
+        let training = TrainingView { view, target, depth: None, exposure_slot };
+        let report = self.memory.backend().train_step(&training, &step);
+        self.counts.training += started.elapsed();
+        if report.stats.refused {
+            self.counts.refused += 1;
+            return None;
+        }
+        self.counts.steps += 1;
+        Some(-10.0 * report.loss.mse.max(1e-10).log10())
+    }
+}
+
+/// Mean of what was measured.
+#[derive(Default)]
+struct MeanPsnr {
+    sum_db: f32,
+    n: u32,
+}
+
+impl MeanPsnr {
+    fn add(&mut self, psnr_db: Option<f32>) {
+        if let Some(psnr_db) = psnr_db {
+            self.sum_db += psnr_db;
+            self.n += 1;
+        }
+    }
+
+    fn mean_db(&self) -> f32 {
+        self.sum_db / self.n.max(1) as f32
+    }
+}
