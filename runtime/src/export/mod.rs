@@ -2,21 +2,26 @@
 
 mod decode;
 mod finest;
+mod part_file;
 mod ply;
+mod spz;
 mod walk;
 
 use crate::map_store::{MapStoreReader, StoreError};
-use decode::decode_gaussian;
+use decode::{MapGaussian, decode_gaussian};
 use finest::Shown;
 use indicatif::{ProgressBar, ProgressStyle};
 use ply::PlyWriter;
+use spz::{COLUMNS, SpzWriter};
+use std::io;
 use std::path::{Path, PathBuf};
 use walk::{PageWalk, WalkError};
 
 /// Options of `kilogs export`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:\n  kilogs export out/04/map --ply street.ply\n\n\
-    The file has the layout of the reference 3D Gaussian splatting; SuperSplat, antimatter15/splat and others open it.")]
+    A PLY file has the layout of the reference 3D Gaussian splatting; SuperSplat, antimatter15/splat and others open it. \
+    An SPZ file has version 3 of Niantic's format, with y up and z back as it demands.")]
 #[command(group(clap::ArgGroup::new("format").required(true).multiple(false)))]
 pub struct ExportArgs {
     /// Folder of the map (the one with manifest.kgs), or of the run that holds it.
@@ -24,7 +29,7 @@ pub struct ExportArgs {
     /// Write a PLY file.
     #[arg(long, value_name = "FILE", group = "format")]
     pub ply: Option<PathBuf>,
-    /// Write an SPZ file; not available yet.
+    /// Write an SPZ file: Niantic's compressed format, a tenth of the size.
     #[arg(long, value_name = "FILE", group = "format")]
     pub spz: Option<PathBuf>,
     /// Write the anchors of all levels on top of each other, instead of the finest at each place.
@@ -51,19 +56,13 @@ pub enum ExportError {
     /// The map could not be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A format that this version cannot write.
-    #[error("exporting {path}: SPZ cannot be written by this version; use --ply FILE and convert that")]
-    Unsupported {
-        /// The file that was asked for.
-        path: PathBuf,
-    },
     /// The file could not be written.
     #[error("exporting to {path}: {source}; check that its folder exists and has room")]
     Write {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        source: io::Error,
     },
 }
 
@@ -72,7 +71,6 @@ impl ExportError {
     pub fn code(&self) -> u8 {
         match self {
             Self::Store(_) => StoreError::EXIT_CODE,
-            Self::Unsupported { .. } => 2,
             Self::Write { .. } => 1,
         }
     }
@@ -83,15 +81,17 @@ impl ExportError {
 /// # Errors
 /// [`ExportError`] when the map cannot be opened or the file not be written; damaged pages are left out and logged.
 pub fn run(args: &ExportArgs, max_keyframes: usize) -> Result<ExportSummary, ExportError> {
-    let Some(file) = &args.ply else {
-        return Err(ExportError::Unsupported { path: args.spz.clone().unwrap_or_default() });
+    // The command line takes exactly one of the two.
+    let (file, is_spz) = match (&args.ply, &args.spz) {
+        (Some(file), _) => (file, false),
+        (None, spz) => (&spz.clone().unwrap_or_default(), true),
     };
     let map = MapStoreReader::open(&map_folder(&args.map), max_keyframes)?;
     for damage in map.damages() {
         log::warn!("{}: left out: {damage}", args.map.display());
     }
     let bar = ProgressBar::new(0).with_style(progress_style());
-    let summary = export_ply(&map, file, args.all_levels, &bar);
+    let summary = export(&map, (file, is_spz), args.all_levels, &bar);
     bar.finish_and_clear();
     let summary = summary?;
     let ExportSummary { gaussians, coarser, left_out, damaged_pages } = summary;
@@ -114,18 +114,18 @@ fn progress_style() -> ProgressStyle {
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
-/// Finds out what is whole and shown (a PLY says how much it holds before it holds it), then writes it.
-fn export_ply(
+/// Finds out what is whole and shown (a file says how much it holds before it holds it), then writes it.
+fn export(
     map: &MapStoreReader,
-    file: &Path,
+    (file, is_spz): (&Path, bool),
     all_levels: bool,
     bar: &ProgressBar,
 ) -> Result<ExportSummary, ExportError> {
+    let write_error = |source| ExportError::Write { path: file.to_owned(), source };
     let in_words = |problem| match problem {
         WalkError::Store(problem) => ExportError::Store(problem),
-        WalkError::Write(source) => ExportError::Write { path: file.to_owned(), source },
+        WalkError::Write(source) => write_error(source),
     };
-    let write_error = |source| ExportError::Write { path: file.to_owned(), source };
     let mut reading = PageWalk::new(map);
     let mut summary = ExportSummary::default();
     let mut pages = map.pages().to_vec();
@@ -134,17 +134,22 @@ fn export_ply(
         summary.damaged_pages += u64::from(verified.is_err());
         verified.is_ok()
     });
-    let n_passes = if all_levels { 2 } else { 2 + finest::n_passes(&pages) };
-    bar.set_length((n_passes * pages.len()) as u64);
+    let n_writing = if is_spz { COLUMNS.len() } else { 1 };
+    let n_comparing = if all_levels { 0 } else { finest::n_passes(&pages) };
+    bar.set_length(((1 + n_comparing + n_writing) * pages.len()) as u64);
     let shown = match all_levels {
         true => Shown::all(0),
         false => finest::finest(&mut reading, &pages, || bar.inc(1)).map_err(in_words)?,
     };
+    let mut reach_m = 0.0_f32;
     let counting = reading.walk(&pages, || bar.inc(1), &mut |walked| {
         for params in walked.gaussians {
             let decoded = walked.keyframe.and_then(|keyframe| decode_gaussian(keyframe, walked.anchor, params));
             match decoded {
-                Some(_) if shown.contains(walked.anchor_idx) => summary.gaussians += 1,
+                Some(gaussian) if shown.contains(walked.anchor_idx) => {
+                    summary.gaussians += 1;
+                    reach_m = gaussian.mean_m.iter().fold(reach_m, |reach_m, coordinate| reach_m.max(coordinate.abs()));
+                }
                 Some(_) => summary.coarser += 1,
                 None => summary.left_out += 1,
             }
@@ -152,14 +157,24 @@ fn export_ply(
         Ok(())
     });
     counting.map_err(in_words)?;
-    let mut ply = PlyWriter::create(file, summary.gaussians).map_err(write_error)?;
-    let writing = reading.walk(&pages, || bar.inc(1), &mut |walked| {
-        let Some(keyframe) = walked.keyframe.filter(|_| shown.contains(walked.anchor_idx)) else { return Ok(()) };
-        let decoded = |params| decode_gaussian(keyframe, walked.anchor, params);
-        walked.gaussians.iter().filter_map(decoded).try_for_each(|gaussian| ply.push(&gaussian))
-    });
-    writing.map_err(in_words)?;
-    ply.finish().map_err(write_error)?;
+    let mut walk = |push: &mut dyn FnMut(&MapGaussian) -> io::Result<()>| {
+        reading.walk(&pages, || bar.inc(1), &mut |walked| {
+            let Some(keyframe) = walked.keyframe.filter(|_| shown.contains(walked.anchor_idx)) else { return Ok(()) };
+            let decoded = |params| decode_gaussian(keyframe, walked.anchor, params);
+            walked.gaussians.iter().filter_map(decoded).try_for_each(|gaussian| push(&gaussian))
+        })
+    };
+    if is_spz {
+        let mut spz = SpzWriter::create(file, summary.gaussians, reach_m).map_err(write_error)?;
+        for column in COLUMNS {
+            walk(&mut |gaussian| spz.push(column, gaussian)).map_err(in_words)?;
+        }
+        spz.finish().map_err(write_error)?;
+    } else {
+        let mut ply = PlyWriter::create(file, summary.gaussians).map_err(write_error)?;
+        walk(&mut |gaussian| ply.push(gaussian)).map_err(in_words)?;
+        ply.finish().map_err(write_error)?;
+    }
     Ok(summary)
 }
 

@@ -1,11 +1,11 @@
 //! The PLY layout of the reference 3D Gaussian splatting, streamed.
 
 use super::decode::MapGaussian;
+use super::part_file::PartFile;
 use ply_rs_bw::ply::{Addable, ElementDef, Encoding, Header, PropertyAccess, PropertyDef, PropertyType, ScalarType};
 use ply_rs_bw::writer::Writer;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
 /// Order of the properties in the file; viewers find them by name.
 const PROPERTIES: [&str; 17] = [
@@ -46,12 +46,9 @@ impl PropertyAccess for Vertex {
 
 /// Writes a PLY file Gaussian by Gaussian. It appears under its name only when it is complete.
 pub(super) struct PlyWriter {
-    path: PathBuf,
-    temporary: PathBuf,
-    out: BufWriter<File>,
+    out: PartFile,
     writer: Writer<Vertex>,
     element: ElementDef,
-    finished: bool,
 }
 
 impl PlyWriter {
@@ -66,15 +63,10 @@ impl PlyWriter {
         header.encoding = Encoding::BinaryLittleEndian;
         header.elements.add(element.clone());
 
-        let mut temporary = path.as_os_str().to_owned();
-        temporary.push(".part");
-        let temporary = PathBuf::from(temporary);
-        let mut out = BufWriter::new(File::create(&temporary)?);
+        let mut out = PartFile::create(path)?;
         let writer = Writer::new();
-        let path = path.to_owned();
-        let begun = writer.write_header(&mut out, &header);
-        let file = Self { path, temporary, out, writer, element, finished: false };
-        begun.map(|_| file)
+        writer.write_header(&mut out, &header)?;
+        Ok(Self { out, writer, element })
     }
 
     pub(super) fn push(&mut self, gaussian: &MapGaussian) -> io::Result<()> {
@@ -82,20 +74,7 @@ impl PlyWriter {
         self.writer.write_little_endian_element(&mut self.out, &vertex, &self.element).map(|_| ())
     }
 
-    pub(super) fn finish(mut self) -> io::Result<()> {
-        self.out.flush()?;
-        self.out.get_ref().sync_data()?;
-        std::fs::rename(&self.temporary, &self.path)?;
-        self.finished = true;
-        Ok(())
-    }
-}
-
-impl Drop for PlyWriter {
-    fn drop(&mut self) {
-        if !self.finished {
-            // The disk may be full; what is half written helps nobody.
-            let _ = std::fs::remove_file(&self.temporary);
-        }
+    pub(super) fn finish(self) -> io::Result<()> {
+        self.out.finish()
     }
 }

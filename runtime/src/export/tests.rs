@@ -8,6 +8,7 @@ use kilogs_core::map::GaussianParams;
 use kilogs_core::store::{MAX_LEVELS, Manifest, PageLabel, StoredAnchor, StoredKeyframe};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
+use std::io::Read;
 
 const HEADER: &str = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n\
     property float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\nproperty float nz\n\
@@ -135,14 +136,49 @@ fn nothing_half_written_is_left_behind() {
 }
 
 #[test]
-fn spz_and_a_missing_map_are_refused_with_their_exit_codes() {
+fn a_missing_map_is_refused_with_its_exit_code() {
     let scratch = tempfile::tempdir().expect("a scratch folder");
-    let args =
-        ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(PathBuf::from("a.spz")), all_levels: false };
-    let error = run(&args, 10).expect_err("not available");
-    assert!(error.code() == 2 && error.to_string().contains("--ply"), "{error}");
     let error = export(scratch.path(), &scratch.path().join("a.ply")).expect_err("no map");
     assert!(error.code() == 5 && error.to_string().contains("manifest.kgs"), "{error}");
+}
+
+/// The columns of an SPZ file, unpacked by what the format says and not by what we write.
+#[test]
+fn an_spz_file_holds_what_the_map_holds() {
+    let scratch = tempfile::tempdir().expect("a scratch folder");
+    write_map(&scratch.path().join("map"));
+    let file = scratch.path().join("street.spz");
+    let args = ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(file.clone()), all_levels: false };
+    let summary = run(&args, 10).expect("exported");
+    assert_eq!((summary.gaussians, summary.left_out), (5, 1));
+
+    let mut bytes = Vec::new();
+    flate2::read::GzDecoder::new(std::fs::File::open(&file).expect("opened")).read_to_end(&mut bytes).expect("gzip");
+    let n = 5;
+    assert_eq!(bytes.len(), 16 + n * 20);
+    assert_eq!(&bytes[..16], [b'N', b'G', b'S', b'P', 3, 0, 0, 0, 5, 0, 0, 0, 0, 12, 0, 0]);
+    let (positions, rest) = bytes[16..].split_at(9 * n);
+    let (opacities, rest) = rest.split_at(n);
+    let (colors, rest) = rest.split_at(3 * n);
+    let (scales, rotations) = rest.split_at(3 * n);
+    let coordinate_m = |bytes: &[u8]| {
+        let fixed = i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8;
+        f64::from(fixed) / 4096.0
+    };
+    // Forward is -z there; keyframes are 10 m apart and see 5 m ahead.
+    let z_m: Vec<f64> = positions.chunks(9).map(|position| coordinate_m(&position[6..])).collect();
+    assert_eq!(z_m, [-5.0, -5.0, -15.0, -25.0, -25.0]);
+    // Opacities are the logistic function of -1 and -2.
+    assert_eq!(opacities, [69, 30, 69, 69, 30]);
+    assert!(colors.iter().all(|value| value.abs_diff(127) <= 1), "{colors:?}");
+    assert!(scales.iter().all(|value| *value == 128), "{scales:?}");
+    // (0.6, 0, 0, 0.8): w is the largest, x is 434 of 511 steps to sqrt(1/2).
+    for rotation in rotations.chunks(4) {
+        assert_eq!(
+            u32::from_le_bytes([rotation[0], rotation[1], rotation[2], rotation[3]]) & !(1 << 19 | 1 << 9),
+            3 << 30 | 434 << 20
+        );
+    }
 }
 
 #[derive(Debug, clap::Parser)]
