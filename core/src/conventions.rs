@@ -7,16 +7,20 @@
 //! | pixels | x right, y down; the **centre** of the top-left pixel is (0.5, 0.5), and intrinsics are in that system |
 //! | quaternion | Hamilton, stored `[x, y, z, w]`, unit, `w >= 0` after normalisation |
 //! | tangent of SE(3) | `[omega, upsilon]`: rotation first, rad then m; **left** increment `exp(delta) * camera_from_world` |
+//! | tangent of Sim(3) | `[omega, upsilon, sigma]`: rad, m, natural logarithm of the scale; `x -> scale * R * x + t`; left increment |
 //! | covariance of a published pose | `[theta, p]` along the world's fixed axes, rad then m: the truth is `exp(theta) * R`, position + p (ROS: the same, translation first) |
 //! | scales of Gaussians | standard deviations in metres, stored as natural logarithms |
 //! | color | RGB in [0, 1] exactly as the camera encoded it (gamma), blended as is, like reference 3DGS |
 //! | time | integer nanoseconds, middle of the exposure |
 //! | matrices | column vectors, column-major storage |
 
-use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Similarity3, UnitQuaternion};
 
 /// A rigid transform; the variable's name says between which frames (`world_from_camera`).
 pub type Rigid = Isometry3<f64>;
+
+/// A transform that also scales; named like a [`Rigid`] one.
+pub type Similarity = Similarity3<f64>;
 
 /// Nanoseconds on the capture process's clock.
 pub type TimestampNs = u64;

@@ -2,5 +2,6 @@
 
 pub mod rng;
 pub mod se3;
+pub mod sim3;
 
 pub use rng::Rng;

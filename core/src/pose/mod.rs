@@ -1,7 +1,7 @@
 //! Where the second camera stood: from matches alone, or from matches with known depth.
 //!
 //! [`estimate_relative`] needs nothing but matches and leaves the length of the step open; [`estimate_pnp`]
-//! needs landmarks and returns metres; [`estimate_homography`] is for what leaves even the direction open, a plane or a
+//! needs landmarks and returns metres; [`estimate_similarity`] needs depths in both views and returns their scale too; [`estimate_homography`] is for what leaves even the direction open, a plane or a
 //! mere turn, and [`gric_essential`] against [`gric_homography`] tells which it is. All are robust, seeded and free of
 //! the heap.
 
@@ -19,7 +19,9 @@ mod pnp;
 mod polynomial;
 mod refine_pose;
 mod refine_relative;
+mod refine_similarity;
 mod robust;
+mod similarity;
 mod step_length;
 mod triangulate;
 
@@ -36,7 +38,12 @@ pub use pnp::{PnpEstimate, PnpSettings, TooFewLandmarks, estimate_pnp};
 pub use polynomial::real_roots;
 pub use refine_pose::{LandmarkMatch, PoseRefinement, refine_pose};
 pub use refine_relative::{RelativeRefinement, refine_relative, relative_covariance};
+pub use refine_similarity::{SimilarityRefinement, refine_similarity};
 pub use robust::{RelativeEstimate, RelativeSettings, TooFewMatches, estimate_relative, trials_needed};
+pub use similarity::{
+    NoSimilarity, PointMatch, PointSighting, SimilarityEstimate, SimilaritySettings, align_similarity,
+    estimate_similarity,
+};
 pub use step_length::{StepLength, fit_step_length};
 pub use triangulate::{InverseDepth, Sighting, triangulate_inverse_depth};
 

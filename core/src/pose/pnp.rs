@@ -1,6 +1,6 @@
 //! The robust loop around the three-point solver.
 
-use super::robust::trials_needed;
+use super::robust::{trials_needed, truncated_cost};
 use super::{LandmarkMatch, PoseRefinement, Stop, p3p, refine_pose};
 use crate::conventions::Rigid;
 use crate::math::Rng;
@@ -69,16 +69,7 @@ fn sample_poses(matches: &[LandmarkMatch], rng: &mut Rng) -> heapless::Vec<Rigid
 }
 
 fn score(pose: &Rigid, matches: &[LandmarkMatch], noise_z1: f64, inlier2: f64, beaten: f64) -> (f64, usize) {
-    let (mut cost, mut n_inliers) = (0.0, 0);
-    for m in matches {
-        let s2 = m.squared_sigmas(pose, noise_z1);
-        n_inliers += usize::from(s2 < inlier2);
-        cost += s2.min(inlier2);
-        if cost > beaten {
-            break;
-        }
-    }
-    (cost, n_inliers)
+    truncated_cost(matches.iter().map(|m| m.squared_sigmas(pose, noise_z1)), inlier2, beaten)
 }
 
 /// Estimates the camera pose from landmarks, with outliers present.

@@ -66,6 +66,19 @@ pub fn trials_needed(inlier_ratio: f64, sample_size: i32, confidence: f64) -> us
     libm::ceil(libm::log1p(-confidence) / denominator) as usize
 }
 
+/// Sum of squared errors, each cut at `inlier2`, and how many are below it; given up where the sum exceeds `beaten`.
+pub(super) fn truncated_cost(squared_errors: impl Iterator<Item = f64>, inlier2: f64, beaten: f64) -> (f64, usize) {
+    let (mut cost, mut n_inliers) = (0.0, 0);
+    for squared in squared_errors {
+        n_inliers += usize::from(squared < inlier2);
+        cost += squared.min(inlier2);
+        if cost > beaten {
+            break;
+        }
+    }
+    (cost, n_inliers)
+}
+
 /// Estimates rotation and direction of the step between two views, with outliers present.
 ///
 /// RANSAC over five-point samples with truncated-quadratic scoring, in which a match counts only if some point in front
