@@ -29,6 +29,8 @@ pub mod keyframe;
 
 pub mod bundle;
 
+pub mod pose_graph;
+
 pub mod tracking;
 
 pub mod map;

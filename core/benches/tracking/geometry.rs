@@ -1,6 +1,7 @@
 //! Poses from matches whose truth is known.
 
-use super::clock::{Times, median};
+use super::clock::Times;
+use super::median;
 use super::problems::{CAMERA, NOISE_PX, Scene, TwoViews, camera_of_window, second_from_first, window};
 use kilogs_core::bundle::{BundleSettings, ReducedSystem, adjust};
 use kilogs_core::conventions::Rigid;

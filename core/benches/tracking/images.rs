@@ -1,6 +1,7 @@
 //! Corners, pyramids and tracks on pictures.
 
-use super::clock::{Times, median};
+use super::clock::Times;
+use super::median;
 use super::pictures::{Difference, Pair, pyramid, pyramid_storage, view};
 use kilogs_core::features::corners::{Corner, CornerSettings, detect};
 use kilogs_core::features::lk::{Flow, LkSettings, track};

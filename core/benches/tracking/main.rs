@@ -65,3 +65,9 @@ fn main() -> std::io::Result<()> {
     }
     Ok(())
 }
+
+/// The median of numbers in any order.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    clock::middle(&values)
+}

@@ -1,7 +1,8 @@
 //! Matchers that need no prediction: how long they take, and what they find in pictures that differ in known ways.
 
-use super::clock::{Times, median};
+use super::clock::Times;
 use super::images::simd_levels;
+use super::median;
 use super::pictures::{Difference, Pair, SIZE, pyramid, pyramid_storage, view};
 use kilogs_core::correspondence::{
     DenseCapacities, DenseMatcher, DenseNode, DenseSettings, DenseStorage, DescriptorMatcher,

@@ -21,6 +21,8 @@ enum BenchName {
     Splat,
     /// The parts of the tracker: corners, tracks, poses, bundle adjustment.
     Tracking,
+    /// The pose graph, on graphs stored by core/benches/pose_graph/peers.py.
+    PoseGraph,
 }
 
 /// Runs one benchmark; its tables go to stdout.
@@ -28,6 +30,7 @@ pub(crate) fn run(root: &Path, args: &BenchArgs) -> Result<(), StepFailed> {
     let (package, name) = match args.name {
         BenchName::Splat => ("kilogs", "splat"),
         BenchName::Tracking => ("kilogs-core", "tracking"),
+        BenchName::PoseGraph => ("kilogs-core", "pose_graph"),
     };
     let mut arguments = vec!["bench", "--quiet", "--package", package, "--bench", name, "--"];
     arguments.extend(args.more.iter().map(String::as_str));
