@@ -9,18 +9,17 @@
 use super::ModelError;
 use super::features::{CELL_PX, sizes_for};
 use super::manifest::{Manifest, Role};
+use super::nearest;
 use super::network::Network;
 use super::picture::{Fit, Picture};
 use super::two_views::FindAndMatch;
 use kilogs_core::correspondence::PixelMatch;
-use tract_onnx::prelude::{tract_ndarray as ndarray, tvec};
+use tract_onnx::prelude::tvec;
 
 /// Features of an image at most. The authors' 4096 and more; ours bounds the time of the comparison.
 const N_FEATURES: usize = 4096;
 /// Share of them at the finer scale. The authors'.
 const FINE_SHARE: f64 = 0.8;
-/// Rows of the table of likeness that are in memory at once.
-const ROWS_AT_ONCE: usize = 256;
 /// Share of the best of the 64 offsets below which a pair is not believed. The authors'.
 const MIN_OFFSET_SHARE: f32 = 0.25;
 /// Sharpens the shares of the offsets. The authors'.
@@ -89,7 +88,7 @@ impl FindAndMatch for CoarseToFine {
         current: &CoarseFeatures,
         matches: &mut Vec<PixelMatch>,
     ) -> Result<(), ModelError> {
-        let pairs = nearest_neighbours(&keyframe.descriptors, &current.descriptors);
+        let pairs = nearest::mutual(&keyframe.descriptors, &current.descriptors, N_CHANNELS);
         let at_once = self.fine.row().inputs[0].shape[0];
         let mut rows = vec![0.0; at_once * 2 * N_CHANNELS];
         for pairs in pairs.chunks(at_once) {
@@ -134,31 +133,6 @@ impl CoarseFeatures {
     }
 }
 
-/// Pairs of rows that are most alike from both sides.
-fn nearest_neighbours(first: &[f32], second: &[f32]) -> Vec<(usize, usize)> {
-    let (n_first, n_second) = (first.len() / N_CHANNELS, second.len() / N_CHANNELS);
-    let Ok(second) = ndarray::ArrayView2::from_shape((n_second, N_CHANNELS), second) else { return Vec::new() };
-    let mut best_first = vec![(usize::MAX, f32::NEG_INFINITY); n_second];
-    let mut best_second = vec![usize::MAX; n_first];
-    for (block, rows) in first.chunks(ROWS_AT_ONCE * N_CHANNELS).enumerate() {
-        let Ok(rows) = ndarray::ArrayView2::from_shape((rows.len() / N_CHANNELS, N_CHANNELS), rows) else { break };
-        for (row, likeness) in rows.dot(&second.t()).rows().into_iter().enumerate() {
-            let i = block * ROWS_AT_ONCE + row;
-            let mut best = f32::NEG_INFINITY;
-            for (j, (&likeness, of_second)) in likeness.iter().zip(&mut best_first).enumerate() {
-                if likeness > best {
-                    (best, best_second[i]) = (likeness, j);
-                }
-                if likeness > of_second.1 {
-                    *of_second = (i, likeness);
-                }
-            }
-        }
-    }
-    let is_mutual = |&(i, j): &(usize, usize)| best_first.get(j).is_some_and(|(first, _)| *first == i);
-    best_second.into_iter().enumerate().filter(is_mutual).collect()
-}
-
 /// Mean of the 64 offsets, which are 8 x 8 px about the middle, and the largest share.
 fn mean_offset(logits: &[f32]) -> ([f32; 2], f32) {
     let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -176,22 +150,6 @@ fn mean_offset(logits: &[f32]) -> ([f32; 2], f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn neighbours_are_mutual_across_blocks_of_rows() {
-        let unit = |at: usize, size: f32| {
-            let mut row = vec![0.0; N_CHANNELS];
-            row[at % N_CHANNELS] = size;
-            row
-        };
-        // 600 weak copies of channel 7, three blocks of rows, and one strong one in the last.
-        let mut first: Vec<f32> = (0..600).flat_map(|_| unit(7, 0.1)).collect();
-        first.splice(550 * N_CHANNELS..551 * N_CHANNELS, unit(7, 1.0));
-        first.splice(3 * N_CHANNELS..4 * N_CHANNELS, unit(9, 1.0));
-        let second: Vec<f32> = [unit(9, 1.0), unit(7, 1.0)].concat();
-        assert_eq!(nearest_neighbours(&first, &second), [(3, 0), (550, 1)]);
-        assert_eq!(nearest_neighbours(&first, &[]), []);
-    }
 
     #[test]
     fn offsets_are_about_the_middle() {

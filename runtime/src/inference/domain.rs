@@ -5,12 +5,14 @@ use super::dense::CoarseToFine;
 use super::depth::DepthNetwork;
 use super::mailbox::{Mailbox, Question, Sheet};
 use super::manifest::Manifest;
+use super::pair::PairNetwork;
 use super::picture::Picture;
 use super::sparse::Keypoints;
 use super::two_views::TwoViews;
 use super::{Counts, Domain, ModelError, Wanted};
 use crate::seal;
 use crate::settings::Matcher;
+use kilogs_core::correspondence::PixelMatch;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, mpsc};
@@ -20,8 +22,15 @@ use std::time::Instant;
 #[derive(Debug, Default)]
 struct Services {
     sparse: Option<TwoViews<Keypoints>>,
-    dense: Option<TwoViews<CoarseToFine>>,
+    dense: Option<Dense>,
     depth: Option<DepthNetwork>,
+}
+
+/// Dense matching: both images at once where the manifest has a network for that, else grids of features.
+#[derive(Debug)]
+enum Dense {
+    Pair(PairNetwork),
+    Grids(TwoViews<CoarseToFine>),
 }
 
 /// Which parts there are.
@@ -128,10 +137,7 @@ impl Services {
             let load = || TwoViews::tried(Keypoints::load(manifest, roles, wanted.image)?, &picture);
             trial.of("the learned matcher", load)
         });
-        let dense = wanted.dense.then(|| {
-            let load = || TwoViews::tried(CoarseToFine::load(manifest, wanted.image)?, &picture);
-            trial.of("dense matching", load)
-        });
+        let dense = wanted.dense.then(|| trial.of("dense matching", || Dense::tried(manifest, wanted.image, &picture)));
         let depth = wanted.depth.then(|| {
             trial.of("the depth network", || {
                 let loaded = DepthNetwork::load(manifest, wanted.focal_px)?;
@@ -166,6 +172,30 @@ impl Services {
         matches.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
         matches.truncate(capacity);
         counts.peak_bytes.fetch_max(seal::thread_heap().peak_bytes, Relaxed);
+    }
+}
+
+impl Dense {
+    fn tried(manifest: &Manifest, image: ((usize, usize), usize), picture: &Picture) -> Result<Self, ModelError> {
+        match PairNetwork::load(manifest)? {
+            Some(network) => {
+                network.match_pair(picture, picture, &mut Vec::new())?;
+                Ok(Self::Pair(network))
+            }
+            None => Ok(Self::Grids(TwoViews::tried(CoarseToFine::load(manifest, image)?, picture)?)),
+        }
+    }
+
+    fn match_pair(
+        &mut self,
+        keyframe: (u32, &Picture),
+        current: &Picture,
+        matches: &mut Vec<PixelMatch>,
+    ) -> Result<(), ModelError> {
+        match self {
+            Self::Pair(network) => network.match_pair(keyframe.1, current, matches),
+            Self::Grids(networks) => networks.match_pair(keyframe, current, matches),
+        }
     }
 }
 

@@ -21,6 +21,8 @@ pub enum Role {
     DiskFeatures,
     /// Two sets of features to matches (LightGlue).
     DiskMatcher,
+    /// Two images at once to a descriptor of every pixel of both (MASt3R and its kind).
+    DensePair,
     /// Image to metric depth.
     MetricDepth,
 }
@@ -33,6 +35,7 @@ impl fmt::Display for Role {
             Self::XfeatFine => "xfeat_fine",
             Self::DiskFeatures => "disk_features",
             Self::DiskMatcher => "disk_matcher",
+            Self::DensePair => "dense_pair",
             Self::MetricDepth => "metric_depth",
         })
     }
@@ -203,6 +206,9 @@ impl ModelRow {
             Role::XfeatMatcher => (&[&[1, 0, 2], &[1, 0, 64], &[1, 0, 2], &[1, 0, 64]], &[&[1, 0, 0]]),
             Role::DiskFeatures => (&[&[1, 3, 0, 0]], &[&[1, 128, 0, 0], &[1, 1, 0, 0]]),
             Role::DiskMatcher => (&[&[1, 0, 2], &[1, 0, 128], &[1, 0, 2], &[1, 0, 128]], &[&[1, 0, 0]]),
+            Role::DensePair => {
+                (&[&[1, 0, 0, 0], &[1, 0, 0, 0]], &[&[1, 0, 0, 0], &[1, 1, 0, 0], &[1, 0, 0, 0], &[1, 1, 0, 0]])
+            }
             Role::MetricDepth => (&[&[1, 0, 0, 0]], &[&[1, 1, 0, 0]]),
         };
         let like = |ports: &[Port], wanted: &[&[usize]], what: &str| {
@@ -215,18 +221,37 @@ impl ModelRow {
             (!is_like)
                 .then(|| format!("{what} {found:?}, but role \"{}\" has {wanted:?} with any size for 0", self.role))
         };
-        like(&self.inputs, inputs, "inputs").or_else(|| like(&self.outputs, outputs, "outputs")).or_else(|| {
-            let needs_depth = self.role == Role::MetricDepth;
-            if needs_depth != self.depth.is_some() {
-                return Some("only and always a \"metric_depth\" has a depth = { .. }".to_owned());
-            }
-            let n_channels = self.inputs[0].shape.get(1).copied().unwrap_or(0);
-            let depth = self.depth.as_ref()?;
-            let is_wrong = ![1, 3].contains(&n_channels)
-                || [&depth.mean, &depth.std].iter().any(|list| list.len() != n_channels)
-                || depth.std.iter().any(|&s| s <= 0.0);
-            is_wrong
-                .then(|| "depth.mean and depth.std need a number, std above 0, for each of 1 or 3 channels".to_owned())
+        let pair = || (self.role == Role::DensePair).then(|| self.pair_problem()).flatten();
+        like(&self.inputs, inputs, "inputs").or_else(|| like(&self.outputs, outputs, "outputs")).or_else(pair).or_else(
+            || {
+                let needs_depth = self.role == Role::MetricDepth;
+                if needs_depth != self.depth.is_some() {
+                    return Some("only and always a \"metric_depth\" has a depth = { .. }".to_owned());
+                }
+                let n_channels = self.inputs[0].shape.get(1).copied().unwrap_or(0);
+                let depth = self.depth.as_ref()?;
+                let is_wrong = ![1, 3].contains(&n_channels)
+                    || [&depth.mean, &depth.std].iter().any(|list| list.len() != n_channels)
+                    || depth.std.iter().any(|&s| s <= 0.0);
+                is_wrong.then(|| {
+                    "depth.mean and depth.std need a number, std above 0, for each of 1 or 3 channels".to_owned()
+                })
+            },
+        )
+    }
+}
+
+impl ModelRow {
+    /// Both images of a pair are looked at in the same way.
+    fn pair_problem(&self) -> Option<String> {
+        let shape = |ports: &[Port], idx: usize| ports[idx].shape.clone();
+        let is_alike = shape(&self.inputs, 0) == shape(&self.inputs, 1)
+            && [0, 1].iter().all(|&idx| shape(&self.outputs, idx) == shape(&self.outputs, idx + 2))
+            && shape(&self.outputs, 0)[2..] == shape(&self.outputs, 1)[2..];
+        let has_channels = [1, 3].contains(&self.inputs[0].shape[1]);
+        (!is_alike || !has_channels).then(|| {
+            "both images need the same shape with 1 or 3 channels, and all descriptors and confidences the same maps"
+                .to_owned()
         })
     }
 }

@@ -22,7 +22,11 @@ mod glue;
 mod mailbox;
 mod manifest;
 #[cfg(feature = "inference")]
+mod nearest;
+#[cfg(feature = "inference")]
 mod network;
+#[cfg(feature = "inference")]
+mod pair;
 #[cfg(feature = "inference")]
 mod picture;
 #[cfg(feature = "inference")]
