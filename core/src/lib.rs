@@ -33,6 +33,8 @@ pub mod pose_graph;
 
 pub mod tracking;
 
+pub mod places;
+
 pub mod map;
 
 pub mod store;
