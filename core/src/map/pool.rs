@@ -22,7 +22,12 @@ pub struct AnchorRecord {
     pub keyframe_ordinal: u32,
     /// How many of the slot's Gaussians are in use.
     pub n_gaussians: u8,
+    /// Which page of its keyframes holds it on disk; [`NOT_STORED`] until it leaves for the first time.
+    pub page_part: u8,
 }
+
+/// [`AnchorRecord::page_part`] of an anchor that no page holds.
+pub const NOT_STORED: u8 = u8::MAX;
 
 /// One slot of the pool's memory.
 #[derive(Debug, Clone, Copy)]
@@ -163,7 +168,7 @@ mod tests {
     use super::*;
 
     fn record(keyframe_ordinal: u32) -> AnchorRecord {
-        AnchorRecord { voxel: VoxelKey::default(), keyframe_ordinal, n_gaussians: 1 }
+        AnchorRecord { voxel: VoxelKey::default(), keyframe_ordinal, n_gaussians: 1, page_part: NOT_STORED }
     }
 
     fn ordinals(pool: &AnchorPool<&mut [AnchorSlot]>) -> std::vec::Vec<u32> {

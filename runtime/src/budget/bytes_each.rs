@@ -143,10 +143,11 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::MapWorkspaces => {
             bytes(mapper::workspace_bytes(&input.mapping_camera(), capacity(Row::MapGaussiansPerAnchor)))
         }
-        Row::MapKeyframes => bytes(mapper::BYTES_PER_KEYFRAME),
+        Row::MapKeyframes | Row::MapChunks => bytes(mapper::BYTES_PER_ROW),
+        Row::MapPages => bytes(mapper::BYTES_PER_PAGE),
         // The splat backend's own.
-        Row::MapChunks | Row::SplatVisibleGaussians | Row::SplatRowEntries | Row::SplatPairs | Row::SplatViews => 0,
-        Row::StorePageQueue => bytes(budget.store_capacity().page_bytes),
+        Row::SplatVisibleGaussians | Row::SplatRowEntries | Row::SplatPairs | Row::SplatViews => 0,
+        Row::StorePageQueue | Row::StoreReturningPages => bytes(budget.store_capacity().page_bytes),
         Row::StoreImageQueue => input.pixels() * channels,
         Row::StoreKeyframeTable => bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>()),
         Row::TelemetryFrameRecords => bytes(size_of::<FrameReport>() + size_of::<StageTimes>()),

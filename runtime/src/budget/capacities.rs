@@ -49,6 +49,8 @@ impl Budget {
             new_anchors: self.capacity(Row::MapNewAnchors),
             keyframe_rows: self.capacity(Row::MapKeyframes),
             chunk_rows: self.capacity(Row::MapChunks),
+            pages: self.capacity(Row::MapPages),
+            returning_files: self.capacity(Row::StoreReturningPages),
         }
     }
 
@@ -79,6 +81,7 @@ impl Budget {
                 .max(chunk_file_bytes(self.capacity(Row::MapGaussiansPerAnchor))),
             page_buffers: self.capacity(Row::StorePageQueue),
             image_buffers: self.capacity(Row::StoreImageQueue).saturating_sub(1),
+            read_buffers: self.capacity(Row::StoreReturningPages),
         }
     }
 }
@@ -99,6 +102,10 @@ pub(super) fn contradiction(budget: &Budget) -> Option<(Row, String, String)> {
     let anchors = of(Row::MapAnchors);
     at_least(Row::MapVoxels, Row::MapAnchors, (anchors * 4).div_ceil(3), "the hash stays at most three quarters full")
         .or_else(|| at_least(Row::MapAnchors, Row::MapNewAnchors, of(Row::MapNewAnchors), "one keyframe may fill it"))
+        .or_else(|| {
+            let rows = of(Row::MapKeyframes);
+            at_least(Row::MapPages, Row::MapKeyframes, rows, "in the worst case each belongs to a page of its own")
+        })
         .or_else(|| {
             let visible = of(Row::SplatVisibleGaussians);
             at_least(Row::SplatRowEntries, Row::SplatVisibleGaussians, visible, "each meets a row of tiles at least")

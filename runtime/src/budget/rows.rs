@@ -77,12 +77,14 @@ pub enum Row {
     MapKeyframeDepths,
     MapWorkspaces,
     MapChunks,
+    MapPages,
     SplatVisibleGaussians,
     SplatRowEntries,
     SplatPairs,
     SplatViews,
     StorePageAnchors,
     StorePageQueue,
+    StoreReturningPages,
     StoreImageQueue,
     StoreKeyframeTable,
     TelemetryFrameRecords,
@@ -144,17 +146,19 @@ rows! {
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;
     MapNewAnchors = ["map"."new_anchors"], "an anchor that a keyframe is about to spawn", HOST, Refuse, 16..=1 << 20;
     MapVoxels = ["map"."voxels"], "a slot of the voxel hash", HOST, Refuse, 64..=1 << 26;
-    MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, OverwriteOldest, 4..=1 << 16;
+    MapKeyframes = ["map"."keyframes"], "a resident keyframe's placement", BACKEND, EvictWorst, 4..=1 << 16;
     MapKeyframeImages = ["map"."keyframe_images"], "a keyframe image to train on, and its exposure", HOST, OverwriteOldest, 2..=4096;
     MapKeyframeDepths = ["map"."keyframe_depths"], "a keyframe's depth and confidence to train on", HOST, OverwriteOldest, 1..=4096;
     MapWorkspaces = ["map"."workspaces"], "planes of motion stereo and insertion", HOST, Refuse, 1..=1;
-    MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, OverwriteOldest, 2..=1 << 12;
+    MapChunks = ["map"."chunks"], "a resident chunk's background and decoder with their moments", BACKEND, EvictWorst, 2..=1 << 12;
+    MapPages = ["map"."pages"], "what is known of ten keyframes' pages: where they are, what is on disk", HOST, EvictWorst, 16..=1 << 20;
     SplatVisibleGaussians = ["splat"."visible_gaussians"], "a decoded and projected Gaussian and its gradient", BACKEND, Refuse, 64..=1 << 26;
     SplatRowEntries = ["splat"."row_entries"], "a (row of tiles, Gaussian) entry and its gradient", BACKEND, Refuse, 64..=1 << 27;
     SplatPairs = ["splat"."pairs"], "a (tile, Gaussian) pair", BACKEND, Refuse, 64..=1 << 28;
     SplatViews = ["splat"."views"], "the pixels of a view: drawn at native size, learned at mapping size", BACKEND, Refuse, 1..=1;
     StorePageAnchors = ["store"."page_anchors"], "counted in store.page_queue", HOST, Refuse, 16..=1 << 20;
     StorePageQueue = ["store"."page_queue"], "a page on its way to the disk", HOST, Refuse, 1..=64;
+    StoreReturningPages = ["store"."returning_pages"], "a page or chunk on its way back from the disk", HOST, Refuse, 2..=64;
     StoreImageQueue = ["store"."image_queue"], "a keyframe image on its way to the disk, or the encoder's output", HOST, Refuse, 2..=256;
     StoreKeyframeTable = ["store"."keyframe_table"], "a keyframe and a page of the finished map, to judge it", HOST, Refuse, 64..=1 << 24;
     TelemetryFrameRecords = ["telemetry"."frame_records"], "a frame's figures on their way to the log", HOST, Refuse, 8..=1 << 20;

@@ -5,11 +5,18 @@ use crate::mapping::{ListLoad, MapRefusals};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Peaks and refusals of every row; shared by all threads, and free of allocation.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Usage {
     /// One more than the most elements seen; 0 for a row that nobody looked at.
     peak: [AtomicU64; Row::COUNT],
     refused: [AtomicU64; Row::COUNT],
+}
+
+impl Default for Usage {
+    fn default() -> Self {
+        let none = || std::array::from_fn(|_| AtomicU64::new(0));
+        Self { peak: none(), refused: none() }
+    }
 }
 
 impl Usage {

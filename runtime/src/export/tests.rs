@@ -37,7 +37,7 @@ pub(super) fn create_store(folder: &Path, camera: Pinhole, page_bytes: usize) ->
         gaussians_per_anchor: 2,
         counts: None,
     };
-    let capacity = StoreCapacity { page_bytes, page_buffers: 1, image_buffers: 1 };
+    let capacity = StoreCapacity { page_bytes, page_buffers: 1, image_buffers: 1, read_buffers: 0 };
     let settings = StoreSettings { capacity, jpeg_quality: 90, when_busy: WhenBusy::Wait };
     MapStoreWriter::create(folder, &manifest, &settings).expect("a new store")
 }

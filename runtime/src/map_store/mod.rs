@@ -18,6 +18,7 @@ mod held_out;
 mod jpeg;
 mod layout;
 mod queue;
+mod read_back;
 mod reader;
 mod scan;
 mod worker;
@@ -29,6 +30,7 @@ mod tests;
 pub use editor::MapStoreEditor;
 pub use error::{Damage, DamageKind, StoreError};
 pub use held_out::{HELD_OUT_PERIOD, HeldOutRule, is_held_out_frame};
+pub use read_back::{ReadFile, StoredFile};
 pub use reader::{MapStoreReader, StoreBytes};
 pub use writer::{
     DEFAULT_JPEG_QUALITY, MapStoreWriter, PageDraft, StoreCapacity, StoreImage, StoreSettings, StoreSummary, WhenBusy,

@@ -1,6 +1,6 @@
 //! The bounded queue between those who map and the one who writes. Allocates nothing after construction.
 
-use super::StoreError;
+use super::{ReadFile, StoreError, StoredFile};
 use kilogs_core::store::StoredKeyframe;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -27,13 +27,19 @@ pub(super) enum Job {
         keyframe: StoredKeyframe,
         pixels: Option<Buffer>,
     },
+    /// A file to be read back.
+    Read {
+        file: StoredFile,
+        memory: Buffer,
+    },
 }
 
-/// Which of the two pools of buffers.
+/// Which of the pools of buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Pool {
     Pages,
     Images,
+    Reads,
 }
 
 /// Why nothing could be taken.
@@ -68,6 +74,11 @@ struct State {
     jobs: VecDeque<Job>,
     pages: Buffers,
     images: Buffers,
+    reads: Buffers,
+    /// Files that were read, in the order in which they were asked for.
+    came: VecDeque<ReadFile>,
+    /// Files that were asked for and are not read yet.
+    n_coming: usize,
     job_running: bool,
     closing: bool,
     failure: Option<StoreError>,
@@ -79,6 +90,7 @@ impl State {
         match pool {
             Pool::Pages => &mut self.pages,
             Pool::Images => &mut self.images,
+            Pool::Reads => &mut self.reads,
         }
     }
 }
@@ -94,11 +106,14 @@ pub(super) struct Queue {
 
 impl Queue {
     /// A queue for `capacity` jobs with pools of so many buffers of so many bytes.
-    pub(super) fn new(capacity: usize, pages: (usize, usize), images: (usize, usize)) -> Self {
+    pub(super) fn new(capacity: usize, pages: (usize, usize), images: (usize, usize), reads: (usize, usize)) -> Self {
         let state = State {
             jobs: VecDeque::with_capacity(capacity),
             pages: Buffers::new(pages),
             images: Buffers::new(images),
+            reads: Buffers::new(reads),
+            came: VecDeque::with_capacity(reads.0),
+            n_coming: 0,
             job_running: false,
             closing: false,
             failure: None,
@@ -140,6 +155,11 @@ impl Queue {
         self.room_arrived.notify_all();
     }
 
+    /// Buffers that are free.
+    pub(super) fn n_free(&self, pool: Pool) -> usize {
+        self.lock().pool(pool).free.len()
+    }
+
     /// The most buffers that were ever taken at once.
     pub(super) fn most_taken(&self, pool: Pool) -> usize {
         self.lock().pool(pool).most_taken
@@ -168,10 +188,29 @@ impl Queue {
         if state.jobs.len() >= self.capacity {
             return Err(Unavailable::Busy);
         }
+        state.n_coming += usize::from(matches!(job, Job::Read { .. }));
         state.jobs.push_back(job);
         drop(state);
         self.work_arrived.notify_one();
         Ok(())
+    }
+
+    /// Hands over a file that was read.
+    pub(super) fn deliver(&self, file: ReadFile) {
+        let mut state = self.lock();
+        state.n_coming = state.n_coming.saturating_sub(1);
+        state.came.push_back(file);
+        drop(state);
+        self.room_arrived.notify_all();
+    }
+
+    /// The oldest file that was read; with `wait` the thread waits for one that is still coming.
+    pub(super) fn next_read(&self, wait: bool) -> Option<ReadFile> {
+        let mut state = self.lock();
+        while wait && state.came.is_empty() && state.n_coming > 0 && !state.stopped {
+            state = self.room_arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        state.came.pop_front()
     }
 
     /// Next job for the writing thread; `None` when it is to end.
@@ -235,7 +274,7 @@ mod tests {
 
     #[test]
     fn who_may_not_wait_is_refused() {
-        let queue = Queue::new(1, (2, 8), (0, 0));
+        let queue = Queue::new(1, (2, 8), (0, 0), (0, 0));
         let first = queue.take_buffer(Pool::Pages, false).expect("two buffers");
         let second = queue.take_buffer(Pool::Pages, false).expect("two buffers");
         assert_eq!(queue.take_buffer(Pool::Pages, false), Err(Unavailable::Busy));
@@ -246,7 +285,7 @@ mod tests {
 
     #[test]
     fn who_waits_goes_on_when_a_buffer_returns_and_when_writing_stops() {
-        let queue = Arc::new(Queue::new(4, (1, 8), (0, 0)));
+        let queue = Arc::new(Queue::new(4, (1, 8), (0, 0), (0, 0)));
         let only = queue.take_buffer(Pool::Pages, true).expect("one buffer");
         let waiting = std::thread::spawn({
             let queue = Arc::clone(&queue);
@@ -257,5 +296,30 @@ mod tests {
         std::thread::sleep(Duration::from_millis(20));
         queue.stop(None);
         assert_eq!(waiting.join().expect("no panic"), (true, Err(Unavailable::Stopped)));
+    }
+
+    #[test]
+    fn who_waits_for_a_file_goes_on_when_it_was_read_when_none_is_coming_and_when_writing_stops() {
+        let queue = Arc::new(Queue::new(2, (0, 0), (0, 0), (2, 8)));
+        assert!(queue.next_read(true).is_none(), "nothing was asked for");
+        let ask = |id: u32| {
+            let memory = queue.take_buffer(Pool::Reads, false).expect("two buffers");
+            queue.push(Job::Read { file: StoredFile::Page(id), memory }, false)
+        };
+        assert_eq!([ask(4), ask(5)], [Ok(()), Ok(())]);
+        let reader = std::thread::spawn({
+            let queue = Arc::clone(&queue);
+            move || {
+                std::thread::sleep(Duration::from_millis(20));
+                if let Some(Job::Read { file, memory }) = queue.next_job() {
+                    queue.deliver(ReadFile { file, memory, n_bytes: 0 });
+                }
+                std::thread::sleep(Duration::from_millis(20));
+                queue.stop(None);
+            }
+        });
+        assert_eq!(queue.next_read(true).map(|read| read.file), Some(StoredFile::Page(4)));
+        assert!(queue.next_read(true).is_none(), "writing stopped");
+        assert!(reader.join().is_ok());
     }
 }

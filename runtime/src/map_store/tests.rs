@@ -30,7 +30,7 @@ fn manifest(pixel_format: PixelFormat) -> Manifest {
 }
 
 fn settings(when_busy: WhenBusy) -> StoreSettings {
-    let capacity = StoreCapacity { page_bytes: 4096, page_buffers: 2, image_buffers: 1 };
+    let capacity = StoreCapacity { page_bytes: 4096, page_buffers: 2, image_buffers: 1, read_buffers: 0 };
     StoreSettings { capacity, jpeg_quality: DEFAULT_JPEG_QUALITY, when_busy }
 }
 

@@ -1,7 +1,7 @@
 //! The thread that owns the disk.
 
 use super::queue::{Job, Pool, Queue};
-use super::{StoreError, jpeg, layout};
+use super::{ReadFile, StoreError, jpeg, layout, read_back};
 use kilogs_core::frame::PixelFormat;
 use kilogs_core::store::{StoredKeyframe, encode_keyframe};
 use std::fs::File;
@@ -47,6 +47,15 @@ impl Worker {
                 let written = replace_counted(&path, memory.get(..n_bytes).unwrap_or_default(), queue);
                 queue.return_buffer(Pool::Pages, memory);
                 written
+            }
+            Job::Read { file, mut memory } => {
+                // What cannot be read is missing where it was asked for, and the run goes on.
+                let n_bytes = read_back::read_verified(&self.folder, file, &mut memory).unwrap_or_else(|problem| {
+                    log::warn!("{problem}; the drive goes on without it");
+                    0
+                });
+                queue.deliver(ReadFile { file, memory, n_bytes });
+                Ok(())
             }
             Job::Keyframe { mut keyframe, pixels } => {
                 if let Some(mut pixels) = pixels {

@@ -2,7 +2,7 @@
 
 use super::queue::{Buffer, Job, Pool, Queue, Unavailable};
 use super::worker::Worker;
-use super::{StoreBytes, StoreError, jpeg, layout, scan};
+use super::{ReadFile, StoreBytes, StoreError, StoredFile, jpeg, layout, scan};
 use kilogs_core::store::{
     ChunkBackground, ChunkLabel, DecoderParams, Manifest, MapCounts, PageEncoder, PageFull, PageLabel, StoredKeyframe,
     encode_chunk, encode_manifest, page_file_bytes,
@@ -24,6 +24,8 @@ pub struct StoreCapacity {
     pub page_buffers: usize,
     /// Image buffers, each one frame as the camera delivers it.
     pub image_buffers: usize,
+    /// Buffers of the size of a page for files that are read back; none for who only writes.
+    pub read_buffers: usize,
 }
 
 /// What happens when everything is waiting for the disk.
@@ -128,9 +130,10 @@ impl MapStoreWriter {
         let image_bytes = row_bytes * manifest.camera.height as usize;
         let capacity = &settings.capacity;
         // Buffers bound pages and images; keyframes without an image share the room that is left.
-        let jobs = capacity.page_buffers + capacity.image_buffers + capacity.image_buffers.max(1);
-        let pages = (capacity.page_buffers, capacity.page_bytes);
-        let queue = Arc::new(Queue::new(jobs, pages, (capacity.image_buffers, image_bytes)));
+        let views = capacity.image_buffers + capacity.image_buffers.max(1);
+        let jobs = capacity.page_buffers + views + capacity.read_buffers;
+        let [pages, reads] = [capacity.page_buffers, capacity.read_buffers].map(|n| (n, capacity.page_bytes));
+        let queue = Arc::new(Queue::new(jobs, pages, (capacity.image_buffers, image_bytes), reads));
         queue.count_bytes(manifest_bytes.len() as u64, 0);
         let worker = Worker {
             folder: folder.to_owned(),
@@ -154,9 +157,9 @@ impl MapStoreWriter {
         self.queue.bytes_on_disk()
     }
 
-    /// The most page buffers and image buffers that were ever in use at once.
-    pub fn most_buffers(&self) -> [usize; 2] {
-        [Pool::Pages, Pool::Images].map(|pool| self.queue.most_taken(pool))
+    /// The most page buffers, image buffers and buffers of files that were ever in use at once.
+    pub fn most_buffers(&self) -> [usize; 3] {
+        [Pool::Pages, Pool::Images, Pool::Reads].map(|pool| self.queue.most_taken(pool))
     }
 
     /// An empty page to be filled with [`PageEncoder::push`]. A page that is full is committed and another one
@@ -223,6 +226,32 @@ impl MapStoreWriter {
     /// [`WriteRefusal`]; when busy, come again.
     pub fn place_keyframe(&self, keyframe: &StoredKeyframe) -> Result<(), WriteRefusal> {
         self.push(Job::Keyframe { keyframe: without_image(keyframe), pixels: None }, self.waits())
+    }
+
+    /// Files that can be asked for now.
+    pub fn n_free_reads(&self) -> usize {
+        self.queue.n_free(Pool::Reads)
+    }
+
+    /// Asks for a file; it comes with [`next_read`](Self::next_read), after everything that was handed over before.
+    ///
+    /// # Errors
+    /// [`WriteRefusal`]; busy means that as many files are on their way as there are buffers.
+    pub fn request(&self, file: StoredFile) -> Result<(), WriteRefusal> {
+        let memory = self.queue.take_buffer(Pool::Reads, false)?;
+        self.push(Job::Read { file, memory }, true)
+    }
+
+    /// The next file, in the order of the requests; give it back with [`give_back`](Self::give_back).
+    ///
+    /// In lock-step a file comes when it `is_due`, never earlier and never later. Live it comes when it was read.
+    pub fn next_read(&self, is_due: bool) -> Option<ReadFile> {
+        if self.waits() && !is_due { None } else { self.queue.next_read(self.waits()) }
+    }
+
+    /// Gives the memory of a file back.
+    pub fn give_back(&self, read: ReadFile) {
+        self.queue.return_buffer(Pool::Reads, read.memory);
     }
 
     /// Waits until everything handed over is on disk.
@@ -292,7 +321,7 @@ fn check_settings(manifest: &Manifest, settings: &StoreSettings) -> Result<usize
     if !(1..=100).contains(&settings.jpeg_quality) {
         return refuse(format!("JPEG quality {} is not within 1 to 100", settings.jpeg_quality));
     }
-    let StoreCapacity { page_bytes, page_buffers, image_buffers } = settings.capacity;
+    let StoreCapacity { page_bytes, page_buffers, image_buffers, .. } = settings.capacity;
     let needed = page_file_bytes(1, manifest.gaussians_per_anchor as usize, true);
     if page_bytes < needed {
         return refuse(format!("a page buffer of {page_bytes} bytes does not hold one anchor ({needed} bytes)"));

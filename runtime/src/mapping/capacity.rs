@@ -1,6 +1,6 @@
 //! How large a mapper is: fixed before it starts.
 
-use super::evict::{PAGE_KEYFRAMES, PageGroup};
+use super::pages::PageGroup;
 use crate::splat::{BACKGROUND_TEXELS, DecoderShape};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::aggregate;
@@ -11,6 +11,9 @@ use kilogs_core::map::pool::AnchorSlot;
 use kilogs_core::map::voxel::VoxelCell;
 use kilogs_core::map::{AnchorFeature, AnchorHeader, GaussianParams};
 use kilogs_core::store::chunk_record_bytes;
+
+/// Bytes of the place of a keyframe, or of a chunk, that has a row.
+pub use crate::splat::BYTES_PER_ROW;
 
 /// Sizes fixed at construction; a mapper's memory follows from them alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,14 +30,18 @@ pub struct MapperCapacity {
     pub depths: usize,
     /// Anchors that one keyframe may spawn.
     pub new_anchors: usize,
-    /// Rows of the backend's keyframe table; a row is used again after so many keyframes.
+    /// Rows of the backend's keyframe table.
     pub keyframe_rows: usize,
     /// Rows of the backend's chunk table.
     pub chunk_rows: usize,
+    /// Pages (of [`PAGE_KEYFRAMES`](super::PAGE_KEYFRAMES) keyframes) that are in memory or can come back.
+    pub pages: usize,
+    /// Files on their way back; at least 2, or none comes back.
+    pub returning_files: usize,
 }
 
-/// Bytes of the place of a keyframe that has a row.
-pub const BYTES_PER_KEYFRAME: usize = size_of::<PageGroup>().div_ceil(PAGE_KEYFRAMES as usize);
+/// Bytes of what is known of the keyframes of a page.
+pub const BYTES_PER_PAGE: usize = size_of::<PageGroup>();
 
 /// Bytes of the pool's slot of an anchor, and of its place in the stage.
 pub const BYTES_PER_ANCHOR: usize = size_of::<AnchorSlot>() + size_of::<u32>();

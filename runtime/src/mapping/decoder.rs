@@ -40,6 +40,26 @@ impl ChunkDecoders {
         &self.residual
     }
 
+    /// Whether chunks have decoders that are learned.
+    pub fn is_learned(&self) -> bool {
+        !self.weights.is_empty()
+    }
+
+    /// Takes a stored decoder as the weights that were read last; false, and one that adds nothing, when it is not of
+    /// the kind that the backend has.
+    pub fn take(&mut self, stored: DecoderParams<'_>) -> bool {
+        let is_taken = if self.is_learned() { stored.read_residual(&mut self.weights) } else { !stored.is_residual() };
+        if !is_taken {
+            self.weights.fill(0.0);
+        }
+        is_taken
+    }
+
+    /// The weights that were read last.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights
+    }
+
     /// The weights that were read last, as they are stored.
     pub fn stored(&self) -> DecoderParams<'_> {
         if self.weights.is_empty() { DecoderParams::EXPLICIT } else { DecoderParams::residual(&self.weights) }
@@ -60,18 +80,19 @@ impl Mapper {
             let ChunkDecoders { shape, weights, .. } = &mut self.decoders;
             fill_fresh_decoder(*shape, self.settings.seed, chunk, weights);
         }
-        let row = self.chunk_row(ordinal);
-        self.backend.write_decoder(row, &self.decoders.weights);
+        if let Some(row) = self.row_of_chunk(chunk) {
+            self.backend.write_decoder(row, &self.decoders.weights);
+        }
     }
 
     /// Row of the decoder that learns.
     pub(super) fn learning_row(&self) -> Option<u16> {
-        self.decoders.learning_chunk.map(|chunk| self.chunk_row(chunk * CHUNK_KEYFRAMES))
+        self.decoders.learning_chunk.and_then(|chunk| self.row_of_chunk(chunk))
     }
 
     /// Fetches a chunk's decoder; false when nothing is learned.
     pub(super) fn read_decoder(&mut self, chunk: u32) -> bool {
-        let row = self.chunk_row(chunk * CHUNK_KEYFRAMES);
+        let Some(row) = self.row_of_chunk(chunk) else { return false };
         !self.decoders.weights.is_empty() && self.backend.read_decoder(row, &mut self.decoders.weights)
     }
 }

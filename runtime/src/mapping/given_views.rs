@@ -3,7 +3,7 @@
 use super::images::KeptKeyframe;
 use super::mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, Mapper, PacketRefused};
 use super::sink::PageSink;
-use crate::splat::{StepReport, StepSettings, TargetImage, TrainingView, View};
+use crate::splat::{RenderStats, StepReport, StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
 
@@ -20,14 +20,15 @@ pub struct GivenView<'a> {
     pub target: TargetImage<'a>,
 }
 
+fn refused_step() -> StepReport {
+    StepReport { stats: RenderStats { refused: true, ..RenderStats::default() }, ..StepReport::default() }
+}
+
 impl Mapper {
-    /// Takes one optimizer step on a view; the decoder of its chunk learns.
+    /// Takes one optimizer step on a view; the decoder of its chunk learns. Refused when its chunk is not in memory.
     pub fn train_on(&mut self, given: &GivenView<'_>, step: &StepSettings) -> StepReport {
-        let view = View {
-            camera_from_map: given.world_from_camera.inverse(),
-            camera: given.camera,
-            chunk_row: self.chunk_row(given.ordinal),
-        };
+        let Some(chunk_row) = self.chunk_row(given.ordinal) else { return refused_step() };
+        let view = View { camera_from_map: given.world_from_camera.inverse(), camera: given.camera, chunk_row };
         let training = TrainingView { view, target: given.target, depth: None, exposure_slot: None };
         let step = StepSettings { decoder_row: Some(view.chunk_row), ..*step };
         let report = self.backend.train_step(&training, &step);
@@ -72,7 +73,7 @@ impl Mapper {
 
     /// Whether the anchors of a keyframe are in memory.
     pub fn holds_keyframe(&self, ordinal: u32) -> bool {
-        self.groups.holds(ordinal)
+        self.paging.directory.holds(ordinal)
     }
 
     /// Hands over the present sky of a keyframe's chunk: it was trained after the chunk had been complete.

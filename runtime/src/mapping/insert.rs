@@ -11,7 +11,7 @@ use kilogs_core::map::depth::{DepthImage, DepthRequest, EarlierView};
 use kilogs_core::map::insertion::{
     InsertionImages, InsertionSample, SamplingScratch, depth_edges, difference_of_gaussians, sample,
 };
-use kilogs_core::map::pool::AnchorRecord;
+use kilogs_core::map::pool::{AnchorRecord, NOT_STORED};
 use kilogs_core::map::spawn::{SurfaceSample, initial_gaussian, voxels_for};
 use kilogs_core::map::voxel::VoxelKey;
 use kilogs_core::math::Rng;
@@ -139,19 +139,18 @@ impl Mapper {
             *color = index.filter(|&index| is_sky(index)).map_or(mean, color_of);
         }
         debug_assert_eq!(self.background.len(), BACKGROUND_COLUMNS * BACKGROUND_ROWS);
-        let chunk_row = self.chunk_row(kept.keyframe.ordinal);
-        self.backend.write_background(chunk_row, &self.background);
-        self.background_of_chunk = Some(chunk);
+        if let Some(chunk_row) = self.row_of_chunk(chunk) {
+            self.backend.write_background(chunk_row, &self.background);
+            self.background_of_chunk = Some(chunk);
+        }
     }
 
     /// Renders the map where the keyframe is and fills structures and edges of both pictures; mean transmittance.
     fn compare_with_map(&mut self, age: usize) -> f32 {
         let Some(kept) = self.images.newest(age) else { return 1.0 };
-        let view = View {
-            camera_from_map: kept.keyframe.world_from_camera.inverse(),
-            camera: *self.images.camera(),
-            chunk_row: self.chunk_row(kept.keyframe.ordinal),
-        };
+        let Some(chunk_row) = self.chunk_row(kept.keyframe.ordinal) else { return 1.0 };
+        let camera_from_map = kept.keyframe.world_from_camera.inverse();
+        let view = View { camera_from_map, camera: *self.images.camera(), chunk_row };
         let ImageScratch { size, rgb, rendered_depth, transmittance, .. } = &mut self.scratch;
         let size = *size;
         let stats = self.backend.render(&view, RenderTarget { rgb, depth_m: rendered_depth, transmittance });
@@ -218,6 +217,8 @@ impl Mapper {
         let center_in_map = Vector3::from(key.center_in_map_m());
         let anchor_in_keyframe = (keyframe.world_from_camera.inverse() * Point3::from(center_in_map)).coords;
         let extent_m = f64::from(key.size_m());
+        let rows = (self.keyframe_row(keyframe.ordinal), self.chunk_row(keyframe.ordinal));
+        let (Some(keyframe_row), Some(chunk_row)) = rows else { return };
         let slot = match self.grid.get(key) {
             Some(slot) if self.staging.holds(slot) => slot,
             Some(_) => {
@@ -229,7 +230,12 @@ impl Mapper {
                     report.refused.new_anchors += 1;
                     return;
                 }
-                let record = AnchorRecord { voxel: key, keyframe_ordinal: keyframe.ordinal, n_gaussians: 0 };
+                let record = AnchorRecord {
+                    voxel: key,
+                    keyframe_ordinal: keyframe.ordinal,
+                    n_gaussians: 0,
+                    page_part: NOT_STORED,
+                };
                 let Ok(handle) = self.pool.insert(record) else {
                     report.refused.anchors += 1;
                     return;
@@ -241,11 +247,11 @@ impl Mapper {
                 }
                 let header = AnchorHeader {
                     position_in_keyframe_m: anchor_in_keyframe.cast::<f32>().into(),
-                    keyframe_row: self.keyframe_row(keyframe.ordinal),
+                    keyframe_row,
                     log_extent: [key.size_m().ln(); 3],
                     level: key.level(),
                     n_gaussians: 0,
-                    chunk_row: self.chunk_row(keyframe.ordinal),
+                    chunk_row,
                 };
                 self.staging.push(handle.slot, header);
                 report.n_anchors += 1;

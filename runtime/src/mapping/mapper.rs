@@ -4,16 +4,16 @@ use super::capacity::MapperCapacity;
 use super::decoder::ChunkDecoders;
 use super::depth::{MotionStereo, SparseDepth};
 use super::depths::KeyframeDepths;
-use super::evict::PageGroups;
 use super::images::{KeptKeyframe, KeyframeImages, MappingImage};
 use super::list_load::ListLoad;
 use super::optimize::OptimizeReport;
-use super::scratch::{ImageScratch, Staging};
+use super::paging::Paging;
+use super::scratch::{ImageScratch, NO_GAUSSIAN, Staging};
 use super::settings::MapperSettings;
 use super::shrink::mapping_camera;
 use super::sink::PageSink;
 use crate::map_store::{MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
-use crate::splat::{BACKGROUND_TEXELS, Exposure, KeyframePlacement, SplatBackend};
+use crate::splat::{BACKGROUND_TEXELS, Exposure, GaussianParams, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
 use kilogs_core::map::insertion::MapImageSize;
@@ -136,6 +136,14 @@ pub struct MapCounters {
     pub anchors_stored: u64,
     /// Pages handed to the sink.
     pub pages_written: u64,
+    /// Pages that came back from disk.
+    pub pages_returned: u64,
+    /// Pages that found no room to come back when the vehicle was near.
+    pub pages_denied: u64,
+    /// Pages that were damaged or gone when they were to come back.
+    pub pages_lost: u64,
+    /// Returned anchors that ended because their voxel had one already.
+    pub anchors_merged: u64,
     /// Optimizer steps taken.
     pub iterations: u64,
 }
@@ -153,7 +161,9 @@ pub struct Mapper {
     pub(super) depths: KeyframeDepths,
     pub(super) scratch: ImageScratch,
     pub(super) staging: Staging,
-    pub(super) groups: PageGroups,
+    pub(super) paging: Paging,
+    /// The Gaussians of an anchor on its way back.
+    pub(super) returning: Box<[GaussianParams]>,
     pub(super) background: Box<[[f32; 3]]>,
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
@@ -185,7 +195,8 @@ impl Mapper {
             depths: KeyframeDepths::new(size.n_pixels(), n_depths),
             scratch: ImageScratch::new(size, capacity.new_anchors * capacity.gaussians_per_anchor),
             staging: Staging::new(capacity.new_anchors, capacity.anchors, capacity.gaussians_per_anchor),
-            groups: PageGroups::new(capacity.keyframe_rows),
+            paging: Paging::new(&capacity, &camera),
+            returning: vec![NO_GAUSSIAN; capacity.gaussians_per_anchor].into(),
             background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
@@ -207,15 +218,17 @@ impl Mapper {
         if is_held_out_frame(frame_index) {
             return Err(PacketRefused::HeldOut { frame_index });
         }
-        self.free_rows(packet.ordinal, sink).map_err(|_| PacketRefused::RowInUse { frame_index })?;
+        self.look_from(packet);
+        self.make_rows(packet.ordinal, sink).map_err(|_| PacketRefused::RowInUse { frame_index })?;
         let keyframe = KeptKeyframe { ordinal: packet.ordinal, world_from_camera: packet.world_from_camera };
         if !self.images.push(keyframe, &packet.image) {
             return Err(PacketRefused::ImageDoesNotFit { frame_index });
         }
-        self.place(packet.ordinal, &packet.world_from_camera);
+        if !self.admit_keyframe(packet.ordinal, &packet.world_from_camera) {
+            return Err(PacketRefused::RowInUse { frame_index });
+        }
         self.begin_exposure();
         self.begin_decoder(packet.ordinal);
-        self.groups.note(packet.ordinal, &packet.world_from_camera);
         self.prune_after_window();
         self.evict_far_pages(packet, sink);
         let mut report = InsertReport::default();
@@ -292,25 +305,6 @@ impl Mapper {
     /// Anchors that live now.
     pub fn n_resident_anchors(&self) -> u32 {
         self.pool.n_live()
-    }
-
-    /// Row of a keyframe in the backend's table.
-    pub(super) fn keyframe_row(&self, ordinal: u32) -> u32 {
-        ordinal % self.capacity.keyframe_rows as u32
-    }
-
-    /// Row of a keyframe's chunk in the backend's table.
-    pub(super) fn chunk_row(&self, ordinal: u32) -> u16 {
-        ((ordinal / CHUNK_KEYFRAMES) as usize % self.capacity.chunk_rows) as u16
-    }
-
-    fn place(&mut self, ordinal: u32, world_from_camera: &Rigid) {
-        let placement = KeyframePlacement {
-            rotation: world_from_camera.rotation,
-            translation_m: world_from_camera.translation.vector,
-            scale: 1.0,
-        };
-        self.backend.set_keyframes(self.keyframe_row(ordinal), &[placement]);
     }
 
     /// The newest keyframe's picture counts as exposed like the map until steps say otherwise.

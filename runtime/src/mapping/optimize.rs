@@ -54,11 +54,9 @@ impl Mapper {
                 1 => TargetImage::Gray8(kept.pixels),
                 _ => TargetImage::Rgb8(kept.pixels),
             };
-            let view = View {
-                camera_from_map: kept.keyframe.world_from_camera.inverse(),
-                camera: *self.images.camera(),
-                chunk_row: self.chunk_row(kept.keyframe.ordinal),
-            };
+            let Some(chunk_row) = self.chunk_row(kept.keyframe.ordinal) else { continue };
+            let camera_from_map = kept.keyframe.world_from_camera.inverse();
+            let view = View { camera_from_map, camera: *self.images.camera(), chunk_row };
             let depth = self.depths.of(kept.keyframe.ordinal);
             let exposure_slot = self.exposure_slot(kept.place);
             let training_view = TrainingView { view, target, depth, exposure_slot };
@@ -81,7 +79,9 @@ impl Mapper {
         let mut chosen = heapless::Vec::new();
         let first = self.settings.window;
         let n_resident = (first..self.images.len())
-            .take_while(|&age| self.images.newest(age).is_some_and(|kept| self.groups.holds(kept.keyframe.ordinal)))
+            .take_while(|&age| {
+                self.images.newest(age).is_some_and(|kept| self.paging.directory.holds(kept.keyframe.ordinal))
+            })
             .count();
         for _ in 0..self.settings.older_views.min(n_resident) {
             // Drawing one twice only shares its steps.

@@ -26,7 +26,7 @@ impl Mapper {
         self.read_decoder(ordinal / CHUNK_KEYFRAMES);
         let mut next_slot = Some(0);
         while let Some(first_slot) = next_slot {
-            next_slot = self.stage(first_slot, |of_anchor| of_anchor == ordinal);
+            next_slot = self.stage(first_slot, |record| record.keyframe_ordinal == ordinal);
             self.read_staged();
             self.prune_staged(&limits);
             self.staging.clear();

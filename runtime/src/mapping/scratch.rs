@@ -152,6 +152,22 @@ impl Staging {
         self.peak = self.peak.max(self.slots.len());
     }
 
+    /// Stages a slot with everything that it holds, of `gaussians` what it uses.
+    pub fn push_whole(
+        &mut self,
+        slot: u32,
+        header: AnchorHeader,
+        feature: &AnchorFeature,
+        gaussians: &[GaussianParams],
+    ) {
+        let nth = self.slots.len();
+        self.push(slot, header);
+        self.features[nth] = *feature;
+        let places = &mut self.params[nth * self.gaussians_per_anchor..];
+        let used = gaussians.iter().take(usize::from(header.n_gaussians));
+        places.iter_mut().zip(used).for_each(|(place, gaussian)| *place = *gaussian);
+    }
+
     /// Adds a Gaussian to a staged slot; false when the slot is not staged or has as many as it can hold.
     pub fn add_gaussian(&mut self, slot: u32, gaussian: GaussianParams) -> bool {
         let stage = self.stage_of_slot[slot as usize];

@@ -111,6 +111,7 @@ fn warn_of_losses(mapping: Option<&MappingSummary>, tally: &Tally, quality: &Map
     let Overflow { visible_gaussians, row_entries, pairs } = viewer.overflow;
     let n_overflowed = [visible_gaussians, row_entries, pairs].map(u64::from).iter().sum::<u64>();
     for (n, what) in [
+        (mapping.map_or(0, |m| m.counters.pages_lost), "pages could not come back to where the vehicle was; see above"),
         (mapping.map_or(0, |m| m.n_views_refused), "views could not be used by the map, see above; it is without them"),
         (input.n_connection_failures, "times the memory of a camera process could not be mapped"),
         (input.n_ack_failures, "frames could not be acknowledged to the camera"),
@@ -174,7 +175,7 @@ fn mapping_report(mapping: &MappingSummary, quality: &MapQuality) -> Mapping {
         gaussians: mapping.store.counts.gaussians,
         chunks: mapping.store.counts.chunks,
         pages_written: counters.pages_written,
-        pages_returned: 0,
+        pages_returned: counters.pages_returned,
         map_bytes: mapping.store.bytes.map_bytes,
         store_bytes: mapping.store.bytes.store_bytes,
         psnr_train_db: quality.train.psnr_db(),

@@ -165,12 +165,13 @@ impl MappingWork {
             points: &job.points,
             road: job.road,
         };
+        self.mapper.bring_pages(&packet, &mut &self.store);
         if let Err(refused) = self.mapper.insert_keyframe(&packet, &mut &self.store) {
             self.refuse(&refused);
             return false;
         }
         job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
-        self.observe(report.keyframe_ordinal);
+        self.observe();
         self.progress.anchors_resident.store(u64::from(self.mapper.n_resident_anchors()), Ordering::Relaxed);
         if let Pace::LockStep { iterations } = self.pace {
             let started = Instant::now();
@@ -181,7 +182,7 @@ impl MappingWork {
     }
 
     /// Notes how full the map's containers are after a keyframe.
-    fn observe(&self, ordinal: u32) {
+    fn observe(&self) {
         let n_anchors = self.mapper.n_resident_anchors() as usize;
         let n_keyframes = self.mapper.counters().keyframes as usize;
         self.usage.observe(Row::MapAnchors, n_anchors);
@@ -190,22 +191,12 @@ impl MappingWork {
         self.usage.observe(Row::MapWorkspaces, 1);
         self.usage.observe(Row::MapNewAnchors, self.mapper.staged_anchors_peak());
         self.usage.observe(Row::MapKeyframeDepths, self.mapper.n_kept_depths());
-        for (row, n) in [
-            (Row::MapKeyframeImages, n_keyframes),
-            (Row::MapKeyframes, ordinal as usize + 1),
-            (Row::MapChunks, (ordinal / CHUNK_KEYFRAMES) as usize + 1),
-        ] {
-            // These overwrite their oldest when they are full.
-            self.usage.observe(row, n.min(self.capacity_of(row)));
-        }
-    }
-
-    fn capacity_of(&self, row: Row) -> usize {
-        match row {
-            Row::MapKeyframeImages => self.mapper.capacity().images,
-            Row::MapKeyframes => self.mapper.capacity().keyframe_rows,
-            _ => self.mapper.capacity().chunk_rows,
-        }
+        // They overwrite their oldest when they are full.
+        self.usage.observe(Row::MapKeyframeImages, n_keyframes.min(self.mapper.capacity().images));
+        let tables = self.mapper.table_load();
+        self.usage.observe(Row::MapKeyframes, tables.keyframes);
+        self.usage.observe(Row::MapChunks, tables.chunks);
+        self.usage.observe(Row::MapPages, tables.pages);
     }
 
     fn train(&mut self, n_iterations: u32) {
@@ -271,10 +262,13 @@ impl MappingWork {
         self.mapper.finish_into(&self.store)?;
         let counters = self.mapper.counters();
         self.usage.note_map_refusals(&counters.refused);
+        self.usage.refuse(Row::MapPages, self.mapper.n_forgotten_pages());
+        self.usage.refuse(Row::StoreReturningPages, usize::try_from(counters.pages_denied).unwrap_or(usize::MAX));
         // The mapper's memory is needed for judging the map.
         drop(self.mapper);
-        let [n_pages, n_images] = self.store.most_buffers();
+        let [n_pages, n_images, n_returning] = self.store.most_buffers();
         self.usage.observe(Row::StorePageQueue, n_pages);
+        self.usage.observe(Row::StoreReturningPages, n_returning);
         // The encoder's output is one of the row's images.
         self.usage.observe(Row::StoreImageQueue, n_images + usize::from(n_images > 0));
         let store = self.store.finish()?;

@@ -61,7 +61,7 @@ fn write_map(folder: &Path) {
         gaussians_per_anchor: 2,
         counts: None,
     };
-    let capacity = StoreCapacity { page_bytes: 1 << 17, page_buffers: 1, image_buffers: 1 };
+    let capacity = StoreCapacity { page_bytes: 1 << 17, page_buffers: 1, image_buffers: 1, read_buffers: 0 };
     let settings = StoreSettings { capacity, jpeg_quality: 95, when_busy: WhenBusy::Wait };
     let store = MapStoreWriter::create(folder, &manifest, &settings).expect("a new store");
     for id in 0..N_KEYFRAMES {

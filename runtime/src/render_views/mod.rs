@@ -7,7 +7,6 @@ pub mod command;
 mod judge;
 mod picture;
 mod residency;
-mod row_table;
 mod selection;
 mod viewer;
 

@@ -1,10 +1,10 @@
 //! The pages that are in the backend, and what they hold there.
 
-use super::row_table::RowTable;
 use super::selection::CountedPage;
 use crate::map_store::{MapStoreReader, StoreError};
 use crate::splat::{
-    AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, DecoderShape, GaussianParams, KeyframePlacement, SplatBackend,
+    AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, DecoderShape, GaussianParams, KeyframePlacement, RowTable,
+    SplatBackend,
 };
 use kilogs_core::conventions::rotation_from_xyzw;
 use kilogs_core::map::lod::N_LEVELS;

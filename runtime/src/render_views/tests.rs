@@ -50,7 +50,7 @@ fn keyframe(id: u32) -> StoredKeyframe {
 /// One page of one keyframe every 20 m, with an anchor of level 0 (seen up to 21 m) and one of level 2 (84 m); three pages per chunk, whose sky is 0.25 or 0.5; the
 /// camera sees 0.5 everywhere; the view of frame 7 is held out.
 fn write_map(folder: &Path, pixel_format: PixelFormat) {
-    let capacity = StoreCapacity { page_bytes: 1 << 17, page_buffers: 1, image_buffers: 1 };
+    let capacity = StoreCapacity { page_bytes: 1 << 17, page_buffers: 1, image_buffers: 1, read_buffers: 0 };
     let settings = StoreSettings { capacity, jpeg_quality: 100, when_busy: WhenBusy::Wait };
     let store = MapStoreWriter::create(folder, &manifest(pixel_format), &settings).expect("a new store");
     let gaussian = GaussianParams {

@@ -15,6 +15,7 @@ pub mod kernels;
 pub mod layout;
 pub mod program;
 pub mod wgpu;
+mod row_table;
 mod score;
 mod training;
 pub mod vulkan;
@@ -25,6 +26,7 @@ pub use background::{
 };
 pub use capacity::{Capacities, CapacityError, MAX_GAUSSIANS_PER_ANCHOR, MemoryRow};
 pub use kilogs_core::map::{AnchorFeature, AnchorHeader, DecoderShape, GaussianParams};
+pub use row_table::{BYTES_PER_ROW, RowTable};
 pub use score::{AnchorScore, ScoreReport};
 pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
