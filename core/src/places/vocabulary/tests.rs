@@ -83,6 +83,7 @@ fn trees_that_would_mislead_are_refused() {
         assert_eq!(Vocabulary::open(&bytes).err(), Some(VocabularyProblem::Inconsistent { node }));
     };
     check(&|nodes| nodes[2].below = Below::Children { first: 0, n: 2 }, 2);
+    check(&|nodes| nodes[2].below = Below::Children { first: 4, n: 2 }, 2);
     check(&|nodes| nodes[2].below = Below::Children { first: 5, n: 3 }, 7);
     check(&|nodes| nodes[4].below = Below::Word { word: 9, rarity: 0 }, 4);
     check(&|nodes| nodes[0].below = Below::Children { first: 1, n: 0 }, 0);
