@@ -6,6 +6,8 @@ use crate::config::ConfigArgs;
 use crate::run_error::RunError;
 use crate::settings::Settings;
 use crate::splat::cpu::SimdLevel;
+use kilogs_core::conventions::{Rigid, rotation_from_xyzw};
+use nalgebra::Translation3;
 use std::path::PathBuf;
 
 /// Options shared by `demo`, `replay` and `run`.
@@ -32,6 +34,30 @@ pub struct CommonArgs {
     /// Seed of everything random.
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub seed: u64,
+}
+
+/// The map to go on with.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ResumeArgs {
+    /// Go on in this map, also one whose writing was interrupted: it grows in place, the other outputs go to --out.
+    #[arg(long, value_name = "MAP")]
+    pub resume: Option<PathBuf>,
+    /// Where the camera is in that map at the first frame, `x,y,z,qx,qy,qz,qw` in metres; without, the drive begins where
+    /// the map's last one ended.
+    #[arg(long, value_name = "POSE", requires = "resume", value_parser = parse_pose, allow_hyphen_values = true)]
+    pub resume_pose: Option<Rigid>,
+}
+
+/// A pose as seven numbers.
+fn parse_pose(text: &str) -> Result<Rigid, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    let numbers = numbers.filter(|numbers| numbers.iter().all(|number| number.is_finite()));
+    match numbers.as_deref() {
+        Some(&[x, y, z, qx, qy, qz, qw]) if [qx, qy, qz, qw].iter().any(|number| number.abs() > 0.0) => {
+            Ok(Rigid::from_parts(Translation3::new(x, y, z), rotation_from_xyzw([qx, qy, qz, qw])))
+        }
+        _ => Err("give seven numbers, x,y,z,qx,qy,qz,qw, of a quaternion that is not zero".to_owned()),
+    }
 }
 
 /// Instruction set of the CPU kernels.

@@ -8,7 +8,7 @@ mod refine;
 mod replay;
 mod run;
 
-pub use common::CommonArgs;
+pub use common::{CommonArgs, ResumeArgs};
 
 use crate::run_error::RunError;
 use clap::{Parser, Subcommand};

@@ -1,6 +1,6 @@
 //! `kilogs replay`: a recorded sequence through a capture process of its own.
 
-use super::CommonArgs;
+use super::{CommonArgs, ResumeArgs};
 use crate::fit::{SceneError, line_of};
 use crate::input::CameraChild;
 use crate::pipeline::{self, GivenPosesPlan, Pace, RunPlan};
@@ -18,7 +18,8 @@ pub const DEFAULT_ITERATIONS: u32 = 20;
 #[command(after_help = "Examples:\n  kilogs replay ../shared/data/kitti04-full --camera kitti --out out/04\n  \
     kilogs replay DATASET --camera camera.toml --live --rate 0.5 --out out/live\n  \
     kilogs replay DATASET --camera kitti --poses DATASET/poses.txt --out out/given\n  \
-    kilogs replay DATASET --camera kitti --degrade gap@100..110 --degrade rain@150..200 --out out/spoilt")]
+    kilogs replay DATASET --camera kitti --degrade gap@100..110 --degrade rain@150..200 --out out/spoilt\n  \
+    kilogs replay DATASET --camera kitti --start 500 --resume out/04/map --out out/04b")]
 pub struct ReplayArgs {
     /// Folder in the layout of KITTI odometry.
     pub dataset: PathBuf,
@@ -63,6 +64,9 @@ pub struct ReplayArgs {
     /// What is done to the frames.
     #[command(flatten)]
     pub degrade: DegradeArgs,
+    /// The map to go on with.
+    #[command(flatten)]
+    pub resume: ResumeArgs,
     /// What all tracking commands share.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -77,6 +81,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), RunError> {
         .map_err(|e| RunError::from(CameraError::from(e)))?;
     let pace = if args.live { Pace::Live } else { Pace::LockStep { iterations: args.iterations } };
     let mut plan = RunPlan::new(&args.common, description.format, pace, &args.out)?;
+    plan.resume(&args.resume)?;
     plan.may_reverse = args.ping_pong > 1;
     let range = PlaybackRange { start: args.start, frames: args.frames, passes: args.ping_pong };
     let schedule = Schedule::new(description.images.len() as u64, &range)?;

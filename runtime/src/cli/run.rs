@@ -1,6 +1,6 @@
 //! `kilogs run`: attaches to a camera that is already there.
 
-use super::CommonArgs;
+use super::{CommonArgs, ResumeArgs};
 use crate::pipeline::{self, Pace, RunPlan};
 use crate::run_error::RunError;
 use kilogs_camera::camera_file::CameraFile;
@@ -21,6 +21,9 @@ pub struct RunArgs {
     /// Folder for all outputs.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// The map to go on with.
+    #[command(flatten)]
+    pub resume: ResumeArgs,
     /// What all tracking commands share.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -35,6 +38,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
     let (camera, mounting) = described.map_err(|e| RunError::Usage(e.to_string()))?;
     // Nobody knows what a live camera will send before its first frame: color is the larger plan.
     let format = SourceFormat { camera, mounting, pixel_format: PixelFormat::Rgb8, n_frames: None };
-    let plan = RunPlan::new(&args.common, format, Pace::Live, &args.out)?;
+    let mut plan = RunPlan::new(&args.common, format, Pace::Live, &args.out)?;
+    plan.resume(&args.resume)?;
     pipeline::run_attached(plan, &args.service)
 }

@@ -43,7 +43,7 @@ pub fn run(request: FitRequest) -> Result<(), RunError> {
     let on_signal = Arc::clone(&is_interrupted);
     ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
-    let mut folder = OutputFolder::create(&plan.out)?;
+    let mut folder = OutputFolder::create(&plan.out, &Rigid::identity())?;
     let mut tally = Tally::with_scale_source(ScaleSource::GivenPoses);
     let mut watch = MemoryWatch::new(None);
     watch.read();

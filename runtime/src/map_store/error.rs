@@ -65,6 +65,17 @@ pub enum StoreError {
         /// Row of the budget.
         row: &'static str,
     },
+    /// A map that is to be gone on with was made with another camera, or in another shape.
+    #[error(
+        "going on with the map {path}: its {what} is not that of this run; give the camera and the budget that the map was \
+         made with, or begin a new map"
+    )]
+    OtherMap {
+        /// Folder of the map.
+        path: PathBuf,
+        /// What is different.
+        what: &'static str,
+    },
     /// The settings of the store contradict each other.
     #[error("preparing the map store: {reason}")]
     Settings {

@@ -49,6 +49,23 @@ pub(super) fn prepare(folder: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
+/// Removes what an interrupted run left half-written, and gives the keyframe log back its last whole record.
+pub(super) fn mend(folder: &Path, record_bytes: u64) -> Result<(), StoreError> {
+    for place in [folder.to_owned(), folder.join(PAGES), folder.join(CHUNKS)] {
+        let entries = fs::read_dir(&place).map_err(|e| StoreError::read("listing", &place, e))?;
+        for path in entries.flatten().map(|entry| entry.path()) {
+            if path.extension().is_some_and(|extension| extension == TEMPORARY) {
+                fs::remove_file(&path).map_err(|e| StoreError::write("removing the unfinished", &path, e))?;
+            }
+        }
+    }
+    let path = folder.join(KEYFRAMES);
+    let failed = |e| StoreError::write("mending", &path, e);
+    let log = File::options().write(true).open(&path).map_err(failed)?;
+    let length = log.metadata().map_err(failed)?.len();
+    log.set_len(length - length % record_bytes).map_err(failed)
+}
+
 /// Replaces `path` by `bytes`: written beside it, brought to the disk, then renamed over it.
 pub(super) fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     let temporary = path.with_extension(TEMPORARY);

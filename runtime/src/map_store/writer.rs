@@ -2,10 +2,10 @@
 
 use super::queue::{Buffer, Job, Pool, Queue, Unavailable};
 use super::worker::Worker;
-use super::{ReadFile, StoreBytes, StoreError, StoredFile, jpeg, layout, scan};
+use super::{MapStoreReader, ReadFile, StoreBytes, StoreError, StoredFile, jpeg, layout, scan};
 use kilogs_core::store::{
-    ChunkBackground, ChunkLabel, DecoderParams, Manifest, MapCounts, PageEncoder, PageFull, PageLabel, StoredKeyframe,
-    encode_chunk, encode_manifest, page_file_bytes,
+    ChunkBackground, ChunkLabel, DecoderParams, KEYFRAME_RECORD_BYTES, Manifest, MapCounts, PageEncoder, PageFull,
+    PageLabel, StoredKeyframe, encode_chunk, encode_manifest, page_file_bytes,
 };
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -126,7 +126,36 @@ impl MapStoreWriter {
         layout::replace_file(&folder.join(layout::MANIFEST), &manifest_bytes)?;
         let log_path = folder.join(layout::KEYFRAMES);
         let keyframe_log = File::create(&log_path).map_err(|e| StoreError::write("creating", &log_path, e))?;
+        let parts = (folder.to_owned(), manifest, keyframe_log);
+        Self::start(parts, settings, row_bytes, manifest_bytes.len() as u64)
+    }
 
+    /// Goes on writing `map`, also one whose writing was interrupted; what the manifest counts is counted again in the end.
+    ///
+    /// # Errors
+    /// [`StoreError::OtherMap`] when the map is not of this camera and shape, else as [`create`](Self::create).
+    pub fn resume(map: &MapStoreReader, manifest: &Manifest, settings: &StoreSettings) -> Result<Self, StoreError> {
+        let row_bytes = check_settings(manifest, settings)?;
+        let folder = map.folder();
+        if let Some(what) = difference(map.manifest(), manifest) {
+            return Err(StoreError::OtherMap { path: folder.to_owned(), what });
+        }
+        layout::mend(folder, KEYFRAME_RECORD_BYTES as u64)?;
+        let manifest = Manifest { counts: None, ..*map.manifest() };
+        layout::replace_file(&folder.join(layout::MANIFEST), &encode_manifest(&manifest))?;
+        let log_path = folder.join(layout::KEYFRAMES);
+        let keyframe_log = File::options().append(true).open(&log_path);
+        let keyframe_log = keyframe_log.map_err(|e| StoreError::write("opening", &log_path, e))?;
+        let store_bytes = scan::bytes(folder)?.store_bytes;
+        Self::start((folder.to_owned(), manifest, keyframe_log), settings, row_bytes, store_bytes)
+    }
+
+    fn start(
+        (folder, manifest, keyframe_log): (PathBuf, Manifest, File),
+        settings: &StoreSettings,
+        row_bytes: usize,
+        store_bytes: u64,
+    ) -> Result<Self, StoreError> {
         let image_bytes = row_bytes * manifest.camera.height as usize;
         let capacity = &settings.capacity;
         // Buffers bound pages and images; keyframes without an image share the room that is left.
@@ -134,9 +163,9 @@ impl MapStoreWriter {
         let jobs = capacity.page_buffers + views + capacity.read_buffers;
         let [pages, reads] = [capacity.page_buffers, capacity.read_buffers].map(|n| (n, capacity.page_bytes));
         let queue = Arc::new(Queue::new(jobs, pages, (capacity.image_buffers, image_bytes), reads));
-        queue.count_bytes(manifest_bytes.len() as u64, 0);
+        queue.count_bytes(store_bytes, 0);
         let worker = Worker {
-            folder: folder.to_owned(),
+            folder: folder.clone(),
             keyframe_log,
             image_size: (manifest.camera.width, manifest.camera.height),
             pixel_format: manifest.pixel_format,
@@ -148,7 +177,6 @@ impl MapStoreWriter {
             .name("map-store".to_owned())
             .spawn(move || worker.run(&thread_queue))
             .map_err(|_| StoreError::Thread { what: "could not be started" })?;
-        let folder = folder.to_owned();
         Ok(Self { queue, thread: Some(thread), folder, manifest, when_busy: settings.when_busy, row_bytes })
     }
 
@@ -330,6 +358,17 @@ fn check_settings(manifest: &Manifest, settings: &StoreSettings) -> Result<usize
         return refuse("the budget leaves no page buffer or no image buffer; give at least 1 of each".to_owned());
     }
     Ok(manifest.camera.width as usize * bytes_per_pixel)
+}
+
+/// What keeps keyframes of one map from going on in another.
+fn difference(map: &Manifest, run: &Manifest) -> Option<&'static str> {
+    let rows = [
+        (map.camera == run.camera, "camera"),
+        (map.pixel_format == run.pixel_format, "pixel format"),
+        (map.voxel_m == run.voxel_m && map.n_levels == run.n_levels, "voxel grid"),
+        (map.gaussians_per_anchor == run.gaussians_per_anchor, "number of Gaussians per anchor"),
+    ];
+    rows.into_iter().find(|(is_same, _)| !is_same).map(|(_, what)| what)
 }
 
 /// Packs the rows; false when they are not what the buffer was made for.

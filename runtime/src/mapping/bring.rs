@@ -145,7 +145,7 @@ impl Mapper {
     }
 
     /// A chunk's decoder and sky, for its row. Without its decoder a chunk's pages would look wrong: they stay away.
-    fn take_chunk(&mut self, chunk: u32, bytes: Option<&[u8]>) {
+    pub(super) fn take_chunk(&mut self, chunk: u32, bytes: Option<&[u8]>) {
         let Some(row) = self.row_of_chunk(chunk) else { return };
         let view = bytes.and_then(|bytes| decode_chunk(bytes).ok());
         let is_usable = match &view {

@@ -45,14 +45,19 @@ impl ChunkDecoders {
         !self.weights.is_empty()
     }
 
-    /// Takes a stored decoder as the weights that were read last; false, and one that adds nothing, when it is not of
-    /// the kind that the backend has.
+    /// Takes a stored decoder as the weights that were read last; a chunk without one gets one that adds nothing. False
+    /// when it is not of the kind that the backend has.
     pub fn take(&mut self, stored: DecoderParams<'_>) -> bool {
-        let is_taken = if self.is_learned() { stored.read_residual(&mut self.weights) } else { !stored.is_residual() };
-        if !is_taken {
-            self.weights.fill(0.0);
+        if self.is_learned() && stored.is_residual() {
+            return stored.read_residual(&mut self.weights);
         }
-        is_taken
+        self.weights.fill(0.0);
+        !stored.is_residual()
+    }
+
+    /// The chunk whose decoder the next chunk begins with.
+    pub fn go_on_after(&mut self, chunk: u32) {
+        self.learning_chunk = Some(chunk);
     }
 
     /// The weights that were read last.

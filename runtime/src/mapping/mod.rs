@@ -21,6 +21,7 @@ mod pages;
 mod paging;
 mod prune;
 mod scratch;
+mod resume;
 mod settings;
 mod shrink;
 mod sink;
@@ -33,6 +34,7 @@ pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Map
 pub use optimize::{MAX_OLDER_VIEWS, OptimizeReport};
 pub use pages::PAGE_KEYFRAMES;
 pub use paging::TableLoad;
+pub use resume::first_keyframe_id_after;
 pub(crate) use scratch::{NO_GAUSSIAN, NO_HEADER};
 pub use settings::MapperSettings;
 pub use shrink::{mapping_camera, shrink};

@@ -266,6 +266,11 @@ impl PageDirectory {
         }
     }
 
+    /// Keeps only groups with something on disk.
+    pub(super) fn retain_stored(&mut self) {
+        self.groups.retain(|group| group.parts.stored != 0);
+    }
+
     /// The best of the groups that pass, by a number that is the lower the better.
     pub(super) fn best(
         &self,

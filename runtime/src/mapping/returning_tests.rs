@@ -205,3 +205,54 @@ fn a_junction_of_more_chunks_than_rows_evicts_the_least_visible_and_never_mixes_
     }
     assert!(drive.finish().pages_written > 5);
 }
+
+#[test]
+fn a_drive_goes_on_in_a_map_whose_writing_was_killed() {
+    let folder = scratch();
+    let path = folder.path().join("map");
+    let mut first = Drive::new(folder.path(), ROOMY, true);
+    first.drive_ways(1);
+    first.mapper.finish_into(&first.store).expect("pages that fit");
+    first.store.flush().expect("written");
+    // Without its end the store says nothing of what it holds, and the last record of its log is torn.
+    drop(first);
+    let mut log = std::fs::read(path.join("keyframes.kgs")).expect("a log");
+    log.extend([7; 50]);
+    std::fs::write(path.join("keyframes.kgs"), log).expect("written");
+    std::fs::write(path.join("pages/00000000.tmp"), b"half a page").expect("written");
+
+    let map = MapStoreReader::open(&path, 1000).expect("a map");
+    assert_eq!((map.manifest().counts, map.keyframes().len()), (None, ONE_WAY as usize));
+    let last_decoder = map.read_chunk(0, &mut Vec::new()).expect("a chunk").decoder.bytes.to_vec();
+    let n_before: u64 = map.pages().iter().map(|page| u64::from(page.n_anchors)).sum();
+    let next = first_keyframe_id_after(&map);
+    assert_eq!(next, CHUNK_KEYFRAMES);
+    let capacity = StoreCapacity { page_bytes: 200_000, page_buffers: 2, image_buffers: 1, read_buffers: 3 };
+    let settings = StoreSettings { capacity, jpeg_quality: 90, when_busy: WhenBusy::Wait };
+    for other in [
+        Manifest { camera: Pinhole { fx: 61.0, ..CAMERA }, ..MANIFEST },
+        Manifest { gaussians_per_anchor: 3, ..MANIFEST },
+    ] {
+        let refused = MapStoreWriter::resume(&map, &other, &settings).map(|_| ()).expect_err("another map");
+        assert!(refused.to_string().contains("is not that of this run"), "{refused}");
+    }
+    let store = MapStoreWriter::resume(&map, &MANIFEST, &settings).expect("a map to go on with");
+    let mut second = Drive { mapper: mapper_of(1, ROOMY, self::settings(true)), store, brings: true };
+    second.mapper.resume(&map);
+    for ordinal in 0..ONE_WAY {
+        second.keyframe(next + ordinal, ONE_WAY - 1 - ordinal);
+        if ordinal == 0 {
+            second.store.flush().expect("written");
+            let chunk = std::fs::read(path.join("chunks/00000000.kgs")).expect("the last chunk");
+            assert!(decode_chunk(&chunk).expect("whole").decoder.bytes == last_decoder, "a closed chunk is frozen");
+        }
+    }
+    let counters = second.finish();
+    assert!(counters.pages_returned >= 4 && counters.pages_lost == 0, "{counters:?}");
+    let map = MapStoreReader::open(&path, 1000).expect("a map");
+    assert_eq!((map.keyframes().len(), map.damages()), (2 * ONE_WAY as usize, [].as_slice()));
+    let n_after: u64 = map.pages().iter().map(|page| u64::from(page.n_anchors)).sum();
+    assert_eq!(n_after, n_before + counters.anchors_total - counters.anchors_pruned - counters.anchors_merged);
+    assert!(counters.anchors_total < n_before, "{n_before} anchors were there, {counters:?}");
+    assert!(!path.join("pages/00000000.tmp").exists());
+}

@@ -40,14 +40,16 @@ pub struct OutputFolder {
     frame_log: FrameLog,
     keyframes: KeyframeTable,
     counts: FrameCounts,
+    map_from_odometry: Rigid,
 }
 
 impl OutputFolder {
-    /// Makes the folder, if it is not there, and opens its files; files of an earlier run are replaced.
+    /// Makes the folder, if it is not there, and opens its files; files of an earlier run are replaced. The trajectories
+    /// are in the map, the odometry is not.
     ///
     /// # Errors
     /// [`OutputError`] when the folder or a file cannot be made.
-    pub fn create(dir: &Path) -> Result<Self, OutputError> {
+    pub fn create(dir: &Path, map_from_odometry: &Rigid) -> Result<Self, OutputError> {
         std::fs::create_dir_all(dir).map_err(|source| OutputError::Folder { path: dir.to_owned(), source })?;
         remove_earlier_judgements(dir)?;
         let mut frames_csv = TextSink::create(dir.join("frames.csv"))?;
@@ -58,6 +60,7 @@ impl OutputFolder {
             frame_log: FrameLog::create(dir.join(".frames.log"))?,
             keyframes: KeyframeTable::create(dir.join(".keyframes.table"))?,
             counts: FrameCounts::default(),
+            map_from_odometry: *map_from_odometry,
             dir: dir.to_owned(),
         })
     }
@@ -89,7 +92,8 @@ impl OutputFolder {
         if frame.is_keyframe {
             let is_tracked = frame.is_tracked_keyframe();
             self.counts.keyframes += u64::from(is_tracked);
-            let world_from_keyframe = frame.world_from_camera * frame.keyframe_from_camera.inverse();
+            let world_from_keyframe =
+                self.map_from_odometry * frame.world_from_camera * frame.keyframe_from_camera.inverse();
             let timestamp_ns = frame.timestamp_ns;
             let placed = PlacedKeyframe { timestamp_ns, is_tracked, world_from_keyframe, scale: 1.0 };
             self.keyframes.place(frame.keyframe_ordinal, &placed)?;

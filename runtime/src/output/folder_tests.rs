@@ -38,7 +38,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
 
 /// Two keyframes with frames between them, one doubtful, one lost, one dropped.
 fn drive(dir: &Path) -> OutputFolder {
-    let mut folder = OutputFolder::create(dir).expect("created");
+    let mut folder = OutputFolder::create(dir, &Rigid::identity()).expect("created");
     let mut times = StageTimes::default();
     times.add(Stage::Tracking, 12.5);
     let frames = [
@@ -160,7 +160,7 @@ fn a_corrected_keyframe_moves_turns_and_scales_the_frames_that_hang_on_it() {
 #[test]
 fn writing_a_frame_takes_no_memory() {
     let dir = folder();
-    let mut folder = OutputFolder::create(dir.path()).expect("created");
+    let mut folder = OutputFolder::create(dir.path(), &Rigid::identity()).expect("created");
     let sealed = crate::seal::enter();
     for k in 0..2000_u32 {
         let written =
@@ -182,7 +182,7 @@ fn a_full_disk_and_an_impossible_folder_are_named_with_a_way_out() {
 
     let file = dir.path().join("file");
     std::fs::write(&file, "").expect("file");
-    let complaint = OutputFolder::create(&file.join("out")).expect_err("below a file").to_string();
+    let complaint = OutputFolder::create(&file.join("out"), &Rigid::identity()).expect_err("below a file").to_string();
     assert!(complaint.contains("name another one with --out"), "{complaint}");
 }
 
@@ -194,7 +194,7 @@ fn what_an_earlier_run_scored_is_gone_and_what_is_not_ours_stays() {
     for name in names {
         std::fs::write(dir.path().join(name), "old").expect("written");
     }
-    OutputFolder::create(dir.path()).expect("created");
+    OutputFolder::create(dir.path(), &Rigid::identity()).expect("created");
     let left: Vec<&str> = names.into_iter().filter(|name| dir.path().join(name).exists()).collect();
     assert_eq!(left, ["renders/mine.png", "notes.txt"]);
 }

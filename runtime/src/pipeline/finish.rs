@@ -140,7 +140,7 @@ fn observe_at_the_end(usage: &Usage, mapping: Option<&MappingSummary>, watch: &M
 }
 
 fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError> {
-    let map = MapStoreReader::open(&plan.out.join("map"), plan.budget.capacity(Row::StoreKeyframeTable))?;
+    let map = MapStoreReader::open(&plan.map_folder(), plan.budget.capacity(Row::StoreKeyframeTable))?;
     let mut backend = memory::backend(plan)?;
     let every = map.keyframes().len().div_ceil(N_RENDERS).max(1);
     let (mut n_seen, mut pictures) = (0, Vec::with_capacity(N_RENDERS));

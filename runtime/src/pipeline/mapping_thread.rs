@@ -4,9 +4,10 @@ use super::mapper_link::{Job, MapperLink};
 use super::memory;
 use super::plan::{Pace, RunPlan};
 use super::queue::{Received, Receiver, Sender};
+use super::resume::Resume;
 use super::tracking_thread::milliseconds;
 use crate::budget::{Row, Usage};
-use crate::map_store::{MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
+use crate::map_store::{MapStoreReader, MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
 use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
 use crate::output::Stage;
 use crate::run_error::RunError;
@@ -44,6 +45,7 @@ pub struct MappingWork {
     n_views_refused: u64,
     has_warned_of_steps: bool,
     training: Duration,
+    resume: Option<Resume>,
 }
 
 /// How far mapping is, for whoever looks while it goes on.
@@ -86,8 +88,18 @@ pub fn prepare(
     if !plan.settings.mapping.enabled {
         return Ok(None);
     }
-    let mapper = memory::mapper(plan)?;
-    let store = MapStoreWriter::create(&plan.out.join("map"), &memory::manifest(plan), &memory::store_settings(plan))?;
+    let mut mapper = memory::mapper(plan)?;
+    let max_views = plan.budget.capacity(Row::StoreKeyframeTable);
+    let (manifest, settings) = (memory::manifest(plan), memory::store_settings(plan));
+    let (store, n_views) = match &plan.resume {
+        None => (MapStoreWriter::create(&plan.map_folder(), &manifest, &settings)?, 0),
+        Some(resume) => {
+            let map = MapStoreReader::open(&resume.map, max_views)?;
+            let store = MapStoreWriter::resume(&map, &manifest, &settings)?;
+            mapper.resume(&map);
+            (store, map.keyframes().len() + map.held_out().len())
+        }
+    };
     let (link, (jobs, free)) = MapperLink::new(plan, usage);
     let work = MappingWork {
         mapper,
@@ -99,12 +111,13 @@ pub fn prepare(
         row_bytes: plan.pixel_format.row_bytes(plan.camera.width) as usize,
         usage: Arc::clone(usage),
         progress: Arc::clone(progress),
-        max_views: plan.budget.capacity(Row::StoreKeyframeTable),
-        n_views: 0,
+        max_views,
+        n_views,
         n_images_left_out: 0,
         n_views_refused: 0,
         has_warned_of_steps: false,
         training: Duration::ZERO,
+        resume: plan.resume.clone(),
     };
     Ok(Some((link, work)))
 }
@@ -149,6 +162,7 @@ impl MappingWork {
     /// One keyframe or held-out view; whether the map learnt from it.
     fn job(&mut self, job: &mut Job) -> bool {
         let Some(report) = job.report else { return false };
+        let report = self.resume.as_ref().map_or(report, |resume| resume.in_map(&report));
         let started = Instant::now();
         self.store_view(job, &report);
         job.times.add(Stage::Store, milliseconds(started.elapsed()));

@@ -19,6 +19,7 @@ mod odometry;
 mod plan;
 mod queue;
 mod record;
+mod resume;
 mod supervisor;
 mod tally;
 mod tracking_thread;
@@ -28,6 +29,7 @@ pub use given_poses::GivenPosesPlan;
 pub(crate) use mapping_thread::MappingSummary;
 pub(crate) use memory::{backend, manifest, mapper, store_settings};
 pub use plan::{Pace, RunPlan};
+pub use resume::Resume;
 pub(crate) use supervisor::Told;
 pub(crate) use tally::{ScaleSource, Tally};
 

@@ -18,8 +18,8 @@ pub const CAPACITY: usize = 16;
 ///
 /// # Errors
 /// [`RunError::Input`] when the shared memory cannot be used.
-pub fn publish(frames: &Receiver<FrameReport>) -> Result<(), RunError> {
-    let mut stream = OdometryStream::open()?;
+pub fn publish(frames: &Receiver<FrameReport>, map_from_odometry: &Rigid) -> Result<(), RunError> {
+    let mut stream = OdometryStream::open(map_from_odometry)?;
     while let Some(report) = frames.pop() {
         stream.publish(&report);
     }
@@ -30,12 +30,13 @@ pub fn publish(frames: &Receiver<FrameReport>) -> Result<(), RunError> {
 struct OdometryStream {
     publisher: OdometryPublisher,
     before: Option<(TimestampNs, Rigid)>,
+    map_from_odometry: Rigid,
 }
 
 impl OdometryStream {
-    fn open() -> Result<Self, RunError> {
+    fn open(map_from_odometry: &Rigid) -> Result<Self, RunError> {
         let publisher = OdometryPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
-        Ok(Self { publisher, before: None })
+        Ok(Self { publisher, before: None, map_from_odometry: *map_from_odometry })
     }
 
     /// A message that cannot be sent is a loss for the reader, not for the run.
@@ -68,8 +69,8 @@ impl OdometryStream {
             is_keyframe: u32::from(report.is_tracked_keyframe()),
             odometry_from_camera_m: odometry_from_camera.translation.vector.into(),
             odometry_from_camera_xyzw: quaternion_xyzw(&odometry_from_camera.rotation),
-            map_from_odometry_m: [0.0; 3],
-            map_from_odometry_xyzw: [0.0, 0.0, 0.0, 1.0],
+            map_from_odometry_m: self.map_from_odometry.translation.vector.into(),
+            map_from_odometry_xyzw: quaternion_xyzw(&self.map_from_odometry.rotation),
             map_from_odometry_scale: 1.0,
             velocity_in_camera_m_per_s,
             covariance: covariance(report),

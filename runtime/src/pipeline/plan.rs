@@ -1,8 +1,9 @@
 //! What a run is going to do, checked before anything is started.
 
 use super::given_poses::GivenPosesPlan;
+use super::resume::Resume;
 use crate::budget::{Budget, ComputeMemory, Location, MappingPlan, Plan, PlanInput, Row};
-use crate::cli::CommonArgs;
+use crate::cli::{CommonArgs, ResumeArgs};
 use crate::compute::{BackendPlan, Compute};
 use crate::input::ServiceFormat;
 use crate::map_store::MapStoreReader;
@@ -12,6 +13,7 @@ use crate::splat::cpu::SimdLevel;
 use crate::splat::kernel_constants::MAX_IMAGE_SIDE_PX;
 use kilogs_camera::source::{PixelFormat, SourceFormat};
 use kilogs_core::camera::{Mounting, Pinhole};
+use kilogs_core::conventions::Rigid;
 use std::path::{Path, PathBuf};
 
 /// Who sets the pace.
@@ -51,6 +53,8 @@ pub struct RunPlan {
     pub may_reverse: bool,
     /// Where the camera was, instead of what the tracker finds; a comparison, not a drive.
     pub given_poses: Option<GivenPosesPlan>,
+    /// The map to go on with; a new one without.
+    pub resume: Option<Resume>,
     /// Folder for all outputs.
     pub out: PathBuf,
     /// Seed of everything random.
@@ -154,6 +158,7 @@ impl RunPlan {
             pace,
             may_reverse: false,
             given_poses: None,
+            resume: None,
             out: out.to_owned(),
             seed: args.seed,
             simd,
@@ -166,6 +171,27 @@ impl RunPlan {
     /// Frames come at the camera's pace.
     pub fn is_live(&self) -> bool {
         self.pace == Pace::Live
+    }
+
+    /// Goes on with a stored map.
+    ///
+    /// # Errors
+    /// [`RunError::Store`] when it cannot be opened.
+    pub fn resume(&mut self, args: &ResumeArgs) -> Result<(), RunError> {
+        let max_views = self.budget.capacity(Row::StoreKeyframeTable);
+        let open = |map: &PathBuf| Resume::open(map, args.resume_pose, max_views);
+        self.resume = args.resume.as_ref().map(open).transpose()?;
+        Ok(())
+    }
+
+    /// Folder of the map.
+    pub fn map_folder(&self) -> PathBuf {
+        self.resume.as_ref().map_or_else(|| self.out.join("map"), |resume| resume.map.clone())
+    }
+
+    /// Where the odometry begins in the map.
+    pub fn map_from_odometry(&self) -> Rigid {
+        self.resume.as_ref().map_or_else(Rigid::identity, |resume| resume.map_from_odometry)
     }
 
     /// What the splat backend is made of.

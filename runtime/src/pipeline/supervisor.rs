@@ -51,7 +51,7 @@ pub fn supervise(
     if std::env::var_os(TRACE_VARIABLE).is_some() {
         seal::trace_next_violation();
     }
-    let folder = OutputFolder::create(&plan.out)?;
+    let folder = OutputFolder::create(&plan.out, &plan.map_from_odometry())?;
     let usage = Arc::new(Usage::default());
     let (stop, is_interrupted) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
     let on_signal = [Arc::clone(&is_interrupted), Arc::clone(&stop)];
@@ -86,8 +86,9 @@ pub fn supervise(
             .map(|work| thread("mapping").spawn_scoped(scope, || work.run()))
             .transpose()
             .map_err(spawn_failed)?;
-        let publishing =
-            thread("odometry").spawn_scoped(scope, move || odometry::publish(&poses)).map_err(spawn_failed)?;
+        let publishing = thread("odometry")
+            .spawn_scoped(scope, move || odometry::publish(&poses, &plan.map_from_odometry()))
+            .map_err(spawn_failed)?;
         let child = start_camera().map_err(|e| RunError::Input(e.to_string()))?;
         let is_interrupted = is_interrupted.as_ref();
         let shared = Shared { plan, service, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
