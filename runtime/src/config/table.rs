@@ -2,6 +2,7 @@
 
 use super::schema::{Kind, Range, Scalar, Setting};
 use crate::mapping::MAX_OLDER_VIEWS;
+use crate::refine::PruneScore;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
 use kilogs_core::scale::ScaleSource;
@@ -221,6 +222,23 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.loss_depth", Range::closed(0.0, 100.0), mapping.mapper.step.weights.depth),
     number!("mapping.loss_isotropy", Range::closed(0.0, 100.0), mapping.mapper.step.weights.isotropy),
     number!("mapping.loss_exposure", Range::closed(0.0, 100.0), mapping.mapper.step.weights.exposure),
+    switch!("lifecycle.densify", None, lifecycle.densify),
+    number!("lifecycle.densify_px", Range::closed(0.0, 10000.0), lifecycle.densify_px),
+    switch!("lifecycle.prune", None, lifecycle.prune),
+    Setting {
+        key: "lifecycle.score",
+        kind: Kind::Choice {
+            available: &["paper", "error-weighted"],
+            planned: &[],
+            put: |settings, word| {
+                settings.lifecycle.score = if word == "paper" { PruneScore::Paper } else { PruneScore::ErrorWeighted };
+            },
+        },
+    },
+    number!("lifecycle.prune_score", Range::closed(0.0, 1.0), lifecycle.prune_score),
+    number!("lifecycle.error_threshold", Range::closed(0.0, 1.0), lifecycle.error_threshold),
+    whole!("lifecycle.views", Range::closed(1.0, 1000.0), lifecycle.views),
+    number!("lifecycle.max_gaussians_per_m", Range::closed(1.0, 1000000.0), lifecycle.max_gaussians_per_m),
     switch!("loop_closure.enabled", Some(true), loop_closure.enabled),
     Setting {
         key: "inference.models",

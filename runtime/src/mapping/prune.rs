@@ -2,7 +2,9 @@
 
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
 use super::scratch::{NO_GAUSSIAN, Staging};
+use super::settings::MapperSettings;
 use crate::splat::GaussianParams;
+use kilogs_core::camera::Pinhole;
 use kilogs_core::map::AnchorHeader;
 use kilogs_core::map::anchor::GAUSSIAN_PARAMS;
 use kilogs_core::map::decoder::with_residual;
@@ -17,12 +19,7 @@ impl Mapper {
 
     /// Drops the faint and the oversized Gaussians of a keyframe.
     pub(super) fn prune(&mut self, ordinal: u32) {
-        let focal_px = self.images.camera().fx as f32;
-        let max_sigma_px = self.settings.max_width_ratio * self.images.camera().width as f32 / WIDTH_IN_SIGMAS;
-        let limits = PruneLimits {
-            min_opacity_logit: (self.settings.min_opacity / (1.0 - self.settings.min_opacity)).ln(),
-            max_sigma_z1: max_sigma_px / focal_px,
-        };
+        let limits = PruneLimits::of(&self.settings, self.images.camera());
         self.read_decoder(ordinal / CHUNK_KEYFRAMES);
         let mut next_slot = Some(0);
         while let Some(first_slot) = next_slot {
@@ -66,15 +63,27 @@ impl Mapper {
 /// A Gaussian is as wide as three standard deviations either way.
 const WIDTH_IN_SIGMAS: f32 = 6.0;
 
-struct PruneLimits {
+/// What a Gaussian must keep to.
+pub(crate) struct PruneLimits {
     min_opacity_logit: f32,
     /// Largest standard deviation over depth, seen from the keyframe that spawned it.
     max_sigma_z1: f32,
 }
 
+impl PruneLimits {
+    /// The limits of `settings` in pictures of `camera`.
+    pub(crate) fn of(settings: &MapperSettings, camera: &Pinhole) -> Self {
+        let max_sigma_px = settings.max_width_ratio * camera.width as f32 / WIDTH_IN_SIGMAS;
+        Self {
+            min_opacity_logit: (settings.min_opacity / (1.0 - settings.min_opacity)).ln(),
+            max_sigma_z1: max_sigma_px / camera.fx as f32,
+        }
+    }
+}
+
 /// Moves the Gaussians worth keeping to the front; how many there are. One that moves looks as before from the keyframe
 /// that spawned it: what the decoder adds at its new place instead of the old one is taken off.
-fn keep_good(
+pub(crate) fn keep_good(
     header: &mut AnchorHeader,
     gaussians: &mut [GaussianParams],
     residual: &[f32],
@@ -99,7 +108,8 @@ fn keep_good(
     kept as u8
 }
 
-fn without_residual(shown: &GaussianParams, residual: &[f32]) -> GaussianParams {
+/// The Gaussian that looks like `shown` once the decoder has added `residual`.
+pub(crate) fn without_residual(shown: &GaussianParams, residual: &[f32]) -> GaussianParams {
     let mut negative = [0.0; GAUSSIAN_PARAMS];
     negative.iter_mut().zip(residual).for_each(|(negative, residual)| *negative = -residual);
     with_residual(shown, &negative)

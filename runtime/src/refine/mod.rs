@@ -4,19 +4,25 @@
 //! stretches of the route, twice   schedule.rs    the second time their ends are where their middles were
 //!   pages that they see           stretch.rs     loaded whole near by, coarse levels only far away
 //!   training                      trainer.rs     every picture of the stretch as often as the others
+//!   lifecycle, once               renew.rs       what is faint, wrong or too much ends; what shows errors is split
 //!   pages, chunks                 stretch.rs     replaced file by file: whatever happens, the map opens
 //! ```
 //!
 //! Held-out views judge and are in no loss.
 
 mod images;
+mod lifecycle;
+mod renew;
 mod run;
 mod schedule;
+mod settings;
 mod stretch;
 mod summary;
 mod trainer;
 
+pub use renew::RenewCounts;
 pub use run::{RefineRequest, run};
+pub use settings::{LifecycleSettings, PruneScore};
 pub use summary::RefineSummary;
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::trainer::{Trainer, TrainingCounts};
 use crate::budget::Row;
 use crate::fit::{Clock, Effort, TrainingImages};
 use crate::map_store::{MapStoreEditor, MapStoreReader};
+use crate::mapping::{PruneLimits, mapping_camera};
 use crate::pipeline::{self, RunPlan};
 use crate::render_views::judge_map;
 use crate::run_error::RunError;
@@ -78,6 +79,8 @@ pub(super) fn train(
         memory,
         images: TrainingImages::new(images, plan.camera, kept_bytes),
         step: mapper.step,
+        lifecycle: plan.settings.lifecycle,
+        limits: PruneLimits::of(mapper, &mapping_camera(&plan.camera, mapper.resolution)),
         coarse_resolution: mapper.resolution,
         learned_exposure: mapper.learned_exposure,
         clock: Clock::start(effort),

@@ -32,6 +32,17 @@ impl Part {
     }
 }
 
+/// Share of a part's effort after which its Gaussians come and go: trained enough to be judged, and the rest of the part
+/// to recover.
+const RENEW_AT: f64 = 0.3;
+
+impl Part {
+    /// Share of all effort at which the part's lifecycle runs.
+    pub(super) fn renews_at(&self) -> f64 {
+        self.effort.start + RENEW_AT * (self.effort.end - self.effort.start)
+    }
+}
+
 /// All parts in their order; every keyframe belongs to one part of each pass, and gets the same effort.
 pub(super) fn parts(n_keyframes: usize, stretch_keyframes: usize) -> Vec<Part> {
     let share = |pass: usize, nth: usize| (pass as f64 + nth as f64 / n_keyframes.max(1) as f64) / PASSES as f64;

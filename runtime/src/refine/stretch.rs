@@ -6,18 +6,18 @@ use crate::render_views::{CountedPage, Residency, Room, Standpoint, Wanted, pick
 use crate::splat::{
     AnchorFeature, AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, DecoderShape, GaussianParams, SplatBackend,
 };
-use kilogs_core::map::decoder::NO_FEATURE;
+use kilogs_core::map::decoder::{NO_FEATURE, residual_at_spawn};
 use kilogs_core::map::lod::N_LEVELS;
 use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, PageLabel, StoredAnchor};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 /// Pages with a keyframe so near to one of the stretch are loaded with all levels, and stored again, m: what the finest
 /// level is seen from, and some more for bends.
 const WHOLE_WITHIN_M: f64 = 30.0;
 /// Anchors that are read from the backend at once.
-const READ_ANCHORS: usize = 1024;
+pub(super) const READ_ANCHORS: usize = 1024;
 
 /// The map through a backend, a stretch at a time.
 pub(super) struct StretchMemory<'a> {
@@ -44,13 +44,40 @@ pub(super) struct Losses {
     pub(super) damaged_chunks: BTreeSet<u32>,
 }
 
+/// Anchors as the backend holds them.
+pub(super) struct StagedAnchors {
+    pub(super) headers: Vec<AnchorHeader>,
+    /// As many per anchor as one can have.
+    pub(super) params: Vec<GaussianParams>,
+    pub(super) features: Vec<AnchorFeature>,
+}
+
+impl StagedAnchors {
+    fn new(n: usize, gaussians_per_anchor: usize) -> Self {
+        Self {
+            headers: vec![NO_HEADER; n],
+            params: vec![NO_GAUSSIAN; n * gaussians_per_anchor],
+            features: vec![NO_FEATURE; n],
+        }
+    }
+
+    fn read(&mut self, backend: &dyn SplatBackend, slots: &[u32], gaussians_per_anchor: usize) {
+        let n = slots.len();
+        backend.read_anchors(slots, &mut self.headers[..n], &mut self.params[..n * gaussians_per_anchor]);
+        // Features stay 0 where the backend has none.
+        backend.read_features(slots, &mut self.features[..n]);
+    }
+}
+
 /// Anchors and chunks on their way out of the backend.
 struct Scratch {
-    headers: Vec<AnchorHeader>,
-    params: Vec<GaussianParams>,
-    features: Vec<AnchorFeature>,
+    anchors: StagedAnchors,
     texels: Vec<[f32; 3]>,
+    /// Empty when nothing is learned.
     decoder: Vec<f32>,
+    /// Row of the chunk that `decoder` is known to be of.
+    decoder_row: Option<u16>,
+    residual: Vec<f32>,
     file: Vec<u8>,
     ranked: Vec<(f64, usize)>,
     wanted: Vec<Wanted>,
@@ -69,11 +96,11 @@ impl<'a> StretchMemory<'a> {
         });
         let decoder_len = if capacities.learned_decoder { DecoderShape::new(k).len() } else { 0 };
         let scratch = Scratch {
-            headers: vec![NO_HEADER; READ_ANCHORS],
-            params: vec![NO_GAUSSIAN; READ_ANCHORS * k],
-            features: vec![NO_FEATURE; READ_ANCHORS],
+            anchors: StagedAnchors::new(READ_ANCHORS, k),
             texels: vec![[0.0; 3]; BACKGROUND_TEXELS],
             decoder: vec![0.0; decoder_len],
+            decoder_row: None,
+            residual: Vec::new(),
             file: Vec::new(),
             ranked: Vec::with_capacity(pages.len()),
             wanted: Vec::with_capacity(pages.len()),
@@ -98,6 +125,52 @@ impl<'a> StretchMemory<'a> {
     /// Row of the chunk of a view in the stretch.
     pub(super) fn chunk_row(&self, chunk_id: u32) -> Option<u16> {
         self.chunk_rows.get(&chunk_id).copied()
+    }
+
+    /// Slots of the whole pages whose keyframes begin in `keyframe_ids`.
+    pub(super) fn own_slots(&self, keyframe_ids: &RangeInclusive<u32>) -> Vec<u32> {
+        let own = self.residency.whole_pages().filter(|(label, _)| keyframe_ids.contains(&label.first_keyframe_id));
+        own.flat_map(|(_, levels)| levels.iter().flatten().copied()).collect()
+    }
+
+    /// Metres of route along which the anchors of those pages were spawned: to the next keyframe each.
+    pub(super) fn own_length_m(&self, keyframe_ids: &RangeInclusive<u32>) -> f64 {
+        let own = self.residency.whole_pages().filter(|(label, _)| keyframe_ids.contains(&label.first_keyframe_id));
+        let own: Vec<RangeInclusive<u32>> =
+            own.map(|(label, _)| label.first_keyframe_id..=label.last_keyframe_id).collect();
+        let steps = self.map.keyframes().windows(2);
+        let own_steps = steps.filter(|step| own.iter().any(|ids| ids.contains(&step[0].keyframe_id)));
+        own_steps.map(|step| (Vector3::from(step[1].translation_m) - Vector3::from(step[0].translation_m)).norm()).sum()
+    }
+
+    /// What the backend holds in some slots.
+    pub(super) fn read(&self, slots: &[u32]) -> StagedAnchors {
+        let k = self.backend.capacities().gaussians_per_anchor;
+        let mut staged = StagedAnchors::new(slots.len(), k);
+        staged.read(self.backend, slots, k);
+        staged
+    }
+
+    /// What a chunk's decoder adds to an anchor seen from the keyframe that spawned it; empty where nothing is learned.
+    pub(super) fn residual_at_spawn(&mut self, header: &AnchorHeader, feature: &AnchorFeature) -> &[f32] {
+        let Scratch { decoder, decoder_row, residual, .. } = &mut self.scratch;
+        if decoder.is_empty() {
+            return &[];
+        }
+        if decoder_row.replace(header.chunk_row) != Some(header.chunk_row) {
+            self.backend.read_decoder(header.chunk_row, decoder);
+        }
+        let shape = DecoderShape::new(self.backend.capacities().gaussians_per_anchor);
+        residual.resize(shape.outputs, 0.0);
+        residual_at_spawn(shape, decoder, feature, header.position_in_keyframe_m, residual);
+        residual
+    }
+
+    /// Ends anchors.
+    pub(super) fn retire(&mut self, slots: &BTreeSet<u32>) {
+        self.residency.retire(self.backend, slots);
+        // The next decoder that is asked for has been trained on.
+        self.scratch.decoder_row = None;
     }
 
     /// The longest stretches, up to `longest` keyframes, whose own pages fit into the backend wherever they begin.
@@ -206,14 +279,12 @@ fn store_page(
     scratch: &mut Scratch,
 ) -> Result<PageLabel, StoreError> {
     let k = backend.capacities().gaussians_per_anchor;
-    let Scratch { headers, params, features, .. } = scratch;
+    let staged = &mut scratch.anchors;
     editor.replace_page(label, |page| {
         for slots in levels.iter().flat_map(|slots| slots.chunks(READ_ANCHORS)) {
-            let n = slots.len();
-            backend.read_anchors(slots, &mut headers[..n], &mut params[..n * k]);
-            // Features stay 0 where the backend has none.
-            backend.read_features(slots, &mut features[..n]);
-            for ((header, feature), gaussians) in headers[..n].iter().zip(&features[..n]).zip(params.chunks_exact(k)) {
+            staged.read(backend, slots, k);
+            let read = staged.headers.iter().zip(&staged.features).zip(staged.params.chunks_exact(k));
+            for ((header, feature), gaussians) in read.take(slots.len()) {
                 // The row is held by the page's own keyframe.
                 let Some(keyframe_id) = residency.keyframe_in_row(header.keyframe_row) else { continue };
                 page.push_with_feature(&StoredAnchor::from_header(header, keyframe_id), feature, gaussians)?;

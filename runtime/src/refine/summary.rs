@@ -1,5 +1,6 @@
 //! What came of it, for people.
 
+use super::renew::RenewCounts;
 use super::trainer::TrainingCounts;
 use crate::map_store::{MapStoreReader, StoreBytes};
 use crate::render_views::MapQuality;
@@ -73,7 +74,12 @@ impl fmt::Display for RefineSummary {
         for ((name, before), after) in ROWS.iter().zip(column(&self.before)).zip(column(&self.after)) {
             writeln!(f, "{name:<28} {before:>10} {after:>10}")?;
         }
-        let TrainingCounts { steps, training, parts, .. } = self.training;
+        let TrainingCounts { steps, training, parts, renewed, .. } = self.training;
+        let RenewCounts { guilty, faint, least_seen, densified } = renewed;
+        writeln!(
+            f,
+            "anchors ended: {guilty} by their score, {faint} faint or oversized, {least_seen} over the limit; {densified} split"
+        )?;
         let seconds = training.as_secs_f64();
         let rate = steps as f64 / seconds.max(1e-3);
         writeln!(f, "{steps} steps in {seconds:.0} s ({rate:.1} per s), {parts} parts stored")

@@ -202,7 +202,7 @@ fn every_part_of_the_route_is_visited_and_improves() {
     let refined = files(&scratch.map);
     assert_eq!(refined.keys().collect::<Vec<_>>(), original.keys().collect::<Vec<_>>());
     for (name, bytes) in &refined {
-        let is_trained = name.starts_with("pages") || name.starts_with("chunks");
+        let is_trained = name.starts_with("pages") || name.starts_with("chunks") || name.ends_with("manifest.kgs");
         assert_eq!(bytes != &original[name], is_trained, "{}", name.display());
     }
 }
@@ -236,7 +236,36 @@ fn a_map_that_does_not_fit_at_once_is_refined_in_shorter_stretches() {
     let counts = train(&map, &plan, Effort::Iterations(48), editor, &mut || true).expect("refined");
     assert!(counts.steps == 48 && counts.parts > 3, "{counts:?}");
     let map = open(&scratch.map);
-    assert!(map.damages().is_empty() && map.pages().iter().all(|page| page.n_anchors == 27 && page.revision > 0));
+    assert!(map.damages().is_empty() && map.pages().iter().all(|page| page.n_anchors > 0 && page.revision > 0));
+}
+
+/// Nothing of so small a picture is faint or oversized.
+const KEEP_ALL: [&str; 6] =
+    ["--set", "lifecycle.prune=false", "--set", "mapping.max_width_ratio=1", "--set", "mapping.min_opacity=0"];
+
+#[test]
+fn a_route_keeps_as_many_gaussians_as_its_length_allows() {
+    // 108 Gaussians on 11 m.
+    let gaussians = |per_m: &str| {
+        let scratch = scratch_map();
+        let setting = format!("lifecycle.max_gaussians_per_m={per_m}");
+        let options: Vec<&str> = KEEP_ALL.into_iter().chain(["--set", &setting]).collect();
+        refine_for(&scratch.map, 96, &options).expect("refined");
+        let map = open(&scratch.map);
+        assert!(map.damages().is_empty());
+        assert_eq!(map.pages().len(), (N_KEYFRAMES / PAGE_KEYFRAMES) as usize, "an empty page stays a page");
+        map.pages().iter().map(|page| page.n_gaussians).sum::<u32>()
+    };
+    assert_eq!([gaussians("1"), gaussians("5.5")], [11, 61]);
+    assert!(gaussians("1000") > 108, "what shows errors was split");
+}
+
+#[test]
+fn what_is_wrong_is_split_only_when_that_is_asked_for() {
+    let scratch = scratch_map();
+    let options: Vec<&str> = KEEP_ALL.into_iter().chain(["--set", "lifecycle.densify=false"]).collect();
+    refine_for(&scratch.map, 48, &options).expect("refined");
+    assert_eq!(open(&scratch.map).pages().iter().map(|page| page.n_gaussians).sum::<u32>(), 108);
 }
 
 /// Tells the child process below which map to refine; unset in an ordinary test run.
@@ -289,7 +318,7 @@ fn a_killed_refinement_leaves_a_map_that_opens_whole() {
         let mut buffer = Vec::new();
         for page in map.pages() {
             let (label, _) = map.read_page(page.page_id, &mut buffer).expect("a whole page");
-            assert_eq!(label.n_anchors, 27);
+            assert!((1..=27).contains(&label.n_anchors), "{label:?}");
         }
         assert!(map.chunks().count() == 2 && map.keyframes().iter().all(|view| map.read_image(view).is_ok()));
     }

@@ -1,10 +1,13 @@
 //! Trains the map part by part.
 
 use super::images::StoredImages;
+use super::renew::{RenewCounts, Renewal};
 use super::schedule::{self, Part};
+use super::settings::LifecycleSettings;
 use super::stretch::StretchMemory;
 use crate::fit::{self, Clock, TrainingImages};
 use crate::map_store::{MapStoreReader, StoreError};
+use crate::mapping::PruneLimits;
 use crate::render_views::map_from_camera;
 use crate::splat::{Exposure, StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
@@ -20,7 +23,9 @@ pub(super) struct Trainer<'a> {
     pub(super) memory: StretchMemory<'a>,
     pub(super) images: TrainingImages<StoredImages<'a>>,
     pub(super) step: StepSettings,
-    /// Resolution of the first steps.
+    pub(super) lifecycle: LifecycleSettings,
+    pub(super) limits: PruneLimits,
+    /// Resolution of the first steps, and of the views that scores come from.
     pub(super) coarse_resolution: f64,
     pub(super) learned_exposure: bool,
     pub(super) clock: Clock,
@@ -43,6 +48,8 @@ pub struct TrainingCounts {
     pub training: Duration,
     /// Parts of the route that were stored; each place belongs to two.
     pub parts: u64,
+    /// What came and went.
+    pub renewed: RenewCounts,
 }
 
 impl Trainer<'_> {
@@ -76,6 +83,7 @@ impl Trainer<'_> {
         let mut rng = Rng::new(self.seed, nth, VIEW_CHOICE);
         self.begin_exposures(part);
         let mut psnr = MeanPsnr::default();
+        let mut is_renewed = false;
         while !order.is_empty() && self.spent() < part.effort.end {
             fit::shuffle(&mut order, &mut rng);
             psnr = MeanPsnr::default();
@@ -83,6 +91,10 @@ impl Trainer<'_> {
                 let spent = self.spent();
                 if spent >= part.effort.end {
                     break;
+                }
+                if !is_renewed && spent >= part.renews_at() {
+                    self.renew(part);
+                    is_renewed = true;
                 }
                 psnr.add(self.train_on(view, part, spent));
                 if !(self.on_progress)(spent) {
@@ -109,12 +121,57 @@ impl Trainer<'_> {
         }
     }
 
+    /// Scores a part's anchors over a uniform subset of its views, ends some and splits others.
+    fn renew(&mut self, part: &Part) {
+        let own = &self.map.keyframes()[part.keyframes.clone()];
+        let (Some(first), Some(last)) = (own.first(), own.last()) else { return };
+        let keyframe_ids = first.keyframe_id..=last.keyframe_id;
+        let length_m = self.memory.own_length_m(&keyframe_ids);
+        let most_gaussians = (self.lifecycle.max_gaussians_per_m * length_m).ceil() as u64;
+        let mut renewal = Renewal::new(&mut self.memory);
+        let n_views = self.lifecycle.views.min(own.len());
+        for nth in 0..n_views {
+            let view_idx = part.keyframes.start + (2 * nth + 1) * own.len() / (2 * n_views);
+            let lifecycle = self.lifecycle;
+            self.look_at(view_idx, part, self.coarse_resolution, |memory, view, _| {
+                let report = renewal.score(memory, view, &lifecycle);
+                (report.stats.refused, report.loss.mse)
+            });
+        }
+        self.counts.renewed +=
+            renewal.apply(&mut self.memory, (keyframe_ids, most_gaussians), (&self.lifecycle, &self.limits));
+    }
+
     /// Takes one step; PSNR before it, `None` when it was not taken.
     fn train_on(&mut self, view_idx: usize, part: &Part, spent: f64) -> Option<f32> {
-        let keyframe = self.map.keyframes().get(view_idx)?;
         let progress = part.progress_at(spent);
+        let resolution = schedule::resolution(progress, self.coarse_resolution);
+        let step = schedule::step(&self.step, progress);
+        let started = Instant::now();
+        let (is_refused, mse) = self.look_at(view_idx, part, resolution, |memory, view, chunk_row| {
+            let report = memory.backend().train_step(view, &StepSettings { decoder_row: Some(chunk_row), ..step });
+            (report.stats.refused, report.loss.mse)
+        })?;
+        self.counts.training += started.elapsed();
+        if is_refused {
+            self.counts.refused += 1;
+            return None;
+        }
+        self.counts.steps += 1;
+        Some(-10.0 * mse.max(1e-10).log10())
+    }
+
+    /// Hands a view with its picture and the row of its chunk to `look`; `None` when they cannot be had.
+    fn look_at<T>(
+        &mut self,
+        view_idx: usize,
+        part: &Part,
+        resolution: f64,
+        look: impl FnOnce(&mut StretchMemory<'_>, &TrainingView<'_>, u16) -> T,
+    ) -> Option<T> {
+        let keyframe = self.map.keyframes().get(view_idx).filter(|_| !self.blind.contains(&view_idx))?;
         let channels = self.images.channels();
-        let image = self.images.at(view_idx, schedule::resolution(progress, self.coarse_resolution));
+        let image = self.images.at(view_idx, resolution);
         let (Ok((camera, pixels)), Some(chunk_row)) = (image, self.memory.chunk_row(keyframe.chunk_id)) else {
             log::warn!("frame {} is not trained on: its picture or its chunk cannot be had", keyframe.frame_index);
             self.blind.insert(view_idx);
@@ -123,17 +180,8 @@ impl Trainer<'_> {
         let target = if channels == 1 { TargetImage::Gray8(pixels) } else { TargetImage::Rgb8(pixels) };
         let view = View { camera_from_map: map_from_camera(keyframe).inverse(), camera, chunk_row };
         let exposure_slot = self.learned_exposure.then_some((view_idx - part.keyframes.start) as u32);
-        let step = StepSettings { decoder_row: Some(chunk_row), ..schedule::step(&self.step, progress) };
-        let started = Instant::now();
         let training = TrainingView { view, target, depth: None, exposure_slot };
-        let report = self.memory.backend().train_step(&training, &step);
-        self.counts.training += started.elapsed();
-        if report.stats.refused {
-            self.counts.refused += 1;
-            return None;
-        }
-        self.counts.steps += 1;
-        Some(-10.0 * report.loss.mse.max(1e-10).log10())
+        Some(look(&mut self.memory, &training, chunk_row))
     }
 }
 

@@ -10,7 +10,7 @@ use kilogs_core::conventions::rotation_from_xyzw;
 use kilogs_core::map::lod::N_LEVELS;
 use kilogs_core::store::{PageLabel, StoredAnchor, StoredKeyframe};
 use nalgebra::Vector3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Color of a direction whose chunk is lost.
 const UNKNOWN_BACKGROUND: [f32; 3] = [0.5; 3];
@@ -87,6 +87,16 @@ impl Residency {
     /// Pages of which some anchors are not in the backend although their levels are.
     pub(crate) fn incomplete_pages(&self) -> impl Iterator<Item = &PageLabel> {
         self.pages.values().filter(|page| page.has_left_out).map(|page| &page.label)
+    }
+
+    /// Ends anchors of resident pages before their time.
+    pub(crate) fn retire(&mut self, backend: &mut dyn SplatBackend, ended: &BTreeSet<u32>) {
+        for levels in self.pages.values_mut().flat_map(|page| &mut page.slots) {
+            let leaving = levels.extract_if(.., |slot| ended.contains(slot));
+            let leaving: Vec<u32> = leaving.collect();
+            backend.retire_anchors(&leaving);
+            self.free_slots.extend(leaving);
+        }
     }
 
     /// Keyframe whose anchors refer to a row.

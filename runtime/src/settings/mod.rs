@@ -4,6 +4,7 @@
 
 use crate::inference::Role;
 use crate::mapping::MapperSettings;
+use crate::refine::LifecycleSettings;
 use kilogs_core::scale::ScaleSource;
 use kilogs_core::tracking::TrackingSettings as TrackerSettings;
 use std::path::PathBuf;
@@ -17,6 +18,8 @@ pub struct Settings {
     pub tracking: TrackingSettings,
     /// From poses and images to the map.
     pub mapping: MappingSettings,
+    /// How Gaussians come and go while a map is refined.
+    pub lifecycle: LifecycleSettings,
     /// Places seen before.
     pub loop_closure: LoopClosureSettings,
     /// Trained networks.
@@ -97,6 +100,7 @@ impl Settings {
                 matcher: Matcher::Classical,
             },
             mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
+            lifecycle: LifecycleSettings::MEASURED,
             loop_closure: LoopClosureSettings { enabled: false },
             inference: InferenceSettings {
                 models: PathBuf::new(),
