@@ -94,7 +94,7 @@ impl Tally {
 mod tests {
     use super::*;
 
-    const SETTINGS: LifecycleSettings = LifecycleSettings::MEASURED;
+    const SETTINGS: LifecycleSettings = LifecycleSettings { densify: true, prune: true, ..LifecycleSettings::MEASURED };
 
     fn score(covered: u32, masked: u32) -> AnchorScore {
         AnchorScore { covered, masked, radius_px: 1.0 }
@@ -133,15 +133,14 @@ mod tests {
     fn the_paper_prunes_what_covers_most_and_the_other_score_what_is_wrong_most() {
         let none = score(0, 0);
         let scores = [[score(1000, 2), score(1000, 0)], [score(40, 40), none], [score(5, 0), none], [none, none]];
-        let settings = LifecycleSettings { prune: true, ..SETTINGS };
-        let guilty = |kind| tally(kind, &scores).guilty(&[0, 1, 2, 3], &settings);
+        let guilty = |kind| tally(kind, &scores).guilty(&[0, 1, 2, 3], &SETTINGS);
         assert_eq!(guilty(PruneScore::Paper), [0]);
         assert_eq!(guilty(PruneScore::ErrorWeighted), [1]);
         // Among equals none is the worst, and what is not asked about stays.
         let equal = tally(PruneScore::Paper, &[[score(50, 5), none], [score(51, 5), none]]);
-        assert!(equal.guilty(&[0, 1], &settings).is_empty());
-        assert!(tally(PruneScore::Paper, &scores).guilty(&[], &settings).is_empty());
-        let off = LifecycleSettings { prune: false, ..settings };
+        assert!(equal.guilty(&[0, 1], &SETTINGS).is_empty());
+        assert!(tally(PruneScore::Paper, &scores).guilty(&[], &SETTINGS).is_empty());
+        let off = LifecycleSettings { prune: false, ..SETTINGS };
         assert!(tally(PruneScore::Paper, &scores).guilty(&[0, 1, 2], &off).is_empty());
     }
 

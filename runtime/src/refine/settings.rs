@@ -33,9 +33,9 @@ pub enum PruneScore {
 impl LifecycleSettings {
     /// The values that the shipped maps were measured with.
     pub const MEASURED: Self = Self {
-        densify: true,
+        densify: false,
         densify_px: 5.0,
-        prune: true,
+        prune: false,
         score: PruneScore::ErrorWeighted,
         prune_score: 0.99,
         error_threshold: 0.1,
