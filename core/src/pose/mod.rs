@@ -24,6 +24,7 @@ mod robust;
 mod similarity;
 mod step_length;
 mod triangulate;
+mod turn;
 
 pub use epnp::epnp;
 pub use essential::{RelativePose, decompose_essential, essential_of, sampson_distance};
@@ -46,6 +47,7 @@ pub use similarity::{
 };
 pub use step_length::{StepLength, fit_step_length};
 pub use triangulate::{InverseDepth, Sighting, triangulate_inverse_depth};
+pub use turn::fit_turn;
 
 use nalgebra::Vector2;
 

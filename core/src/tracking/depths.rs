@@ -8,6 +8,10 @@ use nalgebra::Vector3;
 
 /// Landmarks are tested against this many standard deviations of their depth.
 const SIGMAS: f64 = 3.0;
+/// Keyframes nearer to each other than this tell no depth, m. Ours: poses are off by centimetres among themselves, and while
+/// a vehicle turns on the spot that error would pass for a baseline, its landmarks for a street of centimetres; on a drive
+/// the gate's flow takes a few of these, 12 px at 10 m are 0.17 m.
+const SHORTEST_BASELINE_M: f64 = 0.1;
 
 /// Triangulates landmarks that have at least two sightings and no depth yet; returns how many got one.
 pub(super) fn triangulate_new(
@@ -22,11 +26,16 @@ pub(super) fn triangulate_new(
         let Some(host) = window.at(landmark.host()) else { continue };
         let world_from_host = host.camera_from_world.inverse();
         let mut sightings = heapless::Vec::<Sighting, WINDOW>::new();
+        let mut longest_m = 0.0_f64;
         for column in landmark.columns().filter(|&c| c != landmark.host()) {
             if let (Some(keyframe), Some(seen_z1)) = (window.at(column), landmark.seen_by(column)) {
                 let camera_from_host = keyframe.camera_from_world * world_from_host;
+                longest_m = longest_m.max(camera_from_host.translation.vector.norm());
                 let _ = sightings.push(Sighting { camera_from_host, seen_z1 });
             }
+        }
+        if longest_m < SHORTEST_BASELINE_M {
+            continue;
         }
         let host_z1 = landmark.host_ray().xy();
         let Some(found) = triangulate_inverse_depth(&host_z1, sightings.iter(), 0.0, noise_z1) else { continue };

@@ -12,9 +12,9 @@ use crate::camera::Mounting;
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::TrackReport;
 use crate::math::{Rng, se3};
-use crate::pose::estimate_pnp;
+use crate::pose::{estimate_pnp, fit_turn};
 use crate::verify::{MotionVerdict, judge_motion};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3};
 
 /// Random streams of the robust loops.
 const PURPOSE_PNP: u64 = 1;
@@ -136,12 +136,18 @@ impl Tracker<'_> {
             let reason = StatusReason::TooFewMatches;
             return FramePose { status: FrameStatus::Lost, reason, ..FramePose::predicted(&moment.predicted) };
         }
-        let is_still = f64::from(tracks.median_flow_px) < self.settings.standing_flow_px || self.street_stands_still();
+        let is_still = f64::from(tracks.median_flow_px) < self.settings.standing_flow_px
+            || self.street_only_turns(&UnitQuaternion::identity());
         if has_tracks
             && is_still
             && let (standing, true) = self.verified(self.standing(), moment.timestamp_ns)
         {
             return standing;
+        }
+        if has_tracks
+            && let Some((turned, true)) = self.turned_on_the_spot(moment).map(|p| self.verified(p, moment.timestamp_ns))
+        {
+            return turned;
         }
         let (mut weak, mut refused): (Option<FramePose>, _) = (None, None);
         for source in [MatchSource::Tracks, MatchSource::Sparse, MatchSource::Dense] {
@@ -217,18 +223,38 @@ impl Tracker<'_> {
         }
     }
 
-    /// Whether most points on and beside the road, where any motion must show, have not moved since the keyframe.
+    /// The keyframe's place in another direction, where the street shows no more than that.
+    ///
+    /// Landmarks cannot tell: those that come into view during a turn have no depth, and whatever they are given the pose
+    /// would follow.
+    fn turned_on_the_spot(&mut self, moment: &Moment) -> Option<FramePose> {
+        let n = self.collect_matches();
+        let keyframe_from_world = self.newest.camera_from_world;
+        let guess = (moment.predicted * keyframe_from_world.inverse()).rotation;
+        let rotation = fit_turn(self.scratch.matches.get(..n)?, &guess, self.settings.noise_z1(&self.camera))?;
+        let camera_from_world = Rigid::from_parts(Translation3::identity(), rotation) * keyframe_from_world;
+        self.street_only_turns(&rotation).then(|| FramePose {
+            step_covariance: self.standing_covariance(),
+            ..FramePose::solved(&camera_from_world, PoseModel::Rotation, n, n)
+        })
+    }
+
+    /// Whether most points on and beside the road, where any motion must show, have moved since the keyframe no further
+    /// than this rotation moves them.
     ///
     /// Traffic around a standing vehicle can make up most of the flow, and any essential matrix without rotation
     /// explains a point that stands still; but a street nearer than 30 m cannot stand still under a moving camera.
-    fn street_stands_still(&self) -> bool {
+    fn street_only_turns(&self, rotation: &UnitQuaternion<f64>) -> bool {
+        let limit_z1 = self.settings.standing_flow_px / self.camera.fx;
         let (mut n_street, mut n_still) = (0, 0);
         for track in self.tracks.tracks() {
             let z1 = z1_of(&self.camera, track.keyframe_px);
-            let ray = Vector3::new(z1.x, z1.y, 1.0).normalize();
-            if ray.dot(&self.expected_normal) > MIN_ROAD_SINE {
+            let ray = Vector3::new(z1.x, z1.y, 1.0);
+            if ray.normalize().dot(&self.expected_normal) > MIN_ROAD_SINE {
+                let turned = rotation * ray;
+                let off_z1 = (z1_of(&self.camera, track.current_px) - turned.xy() / turned.z).norm();
                 n_street += 1;
-                n_still += usize::from(f64::from(track.flow_px()) < self.settings.standing_flow_px);
+                n_still += usize::from(off_z1 < limit_z1);
             }
         }
         n_street >= MIN_STANDING_TRACKS && n_still as f64 > STANDING_SHARE * n_street as f64

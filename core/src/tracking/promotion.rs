@@ -8,6 +8,7 @@ use super::{Aids, DynamicFilter, KeyframePoint, PoseModel, Travelled};
 use crate::bundle::{BundleSettings, adjust};
 use crate::conventions::TimestampNs;
 use crate::keyframe::Column;
+use crate::scale::ScaleFilter;
 
 /// Width of Huber's kernel in the bundle adjustment, standard deviations (95 % efficiency).
 const HUBER_SIGMAS: f64 = 1.345;
@@ -25,8 +26,9 @@ impl Tracker<'_> {
         let column = self.window.push(frame_index, timestamp_ns, pose.camera_from_world, self.landmarks);
         self.link_landmarks();
         self.record_sightings(column);
-        let n_new = triangulate_new(&self.window, self.landmarks, &self.camera, &self.settings);
-        if self.settings.bundle_adjustment {
+        triangulate_new(&self.window, self.landmarks, &self.camera, &self.settings);
+        // A turn shows no depth, whatever the noise says.
+        if self.settings.bundle_adjustment && pose.model != PoseModel::Rotation {
             let settings = BundleSettings {
                 noise_z1: self.settings.noise_z1(&self.camera),
                 huber_sigmas: HUBER_SIGMAS,
@@ -40,14 +42,13 @@ impl Tracker<'_> {
             (pose.scale_ratio, pose.n_road) = (scale.ratio, scale.n_pixels);
         }
         self.travelled = Some(Travelled::NOTHING);
-        // A turn shows no depth, whatever the noise says.
-        self.is_started |= n_new >= self.settings.min_inliers && pose.model != PoseModel::Rotation;
         if self.settings.dynamic_filter == DynamicFilter::Region {
             let (normal, height_m) = (self.expected_normal, self.mounting.height_m);
             let share = self.settings.below_road_ratio;
             pose.n_dynamic += mark_impossible(&self.window, self.landmarks, &normal, height_m, share);
         }
         self.drop_outliers();
+        self.judge_start();
         self.keyframe_slot = self.current_slot;
         self.tracks.promote(self.simd, &self.pyramids[self.current_slot], &self.settings.tracks);
         self.link_landmarks();
@@ -60,6 +61,18 @@ impl Tracker<'_> {
         self.note_newest();
         self.publish_points();
         pose.is_keyframe = true;
+    }
+
+    /// Whether enough landmarks with a depth are in view to go on from. A turn on the spot leaves them behind and finds no
+    /// others: then the length of the next step is as unknown as at the beginning.
+    fn judge_start(&mut self) {
+        let n_depths = self.landmarks.iter().filter(|l| l.is_tracked && l.has_depth() && !l.is_outlier).count();
+        let was_started = core::mem::replace(&mut self.is_started, n_depths >= self.settings.min_inliers);
+        if was_started && !self.is_started {
+            self.scale = ScaleFilter::new(&self.settings.scale);
+            self.drift.forget_scale();
+            self.drift_at_keyframe.forget_scale();
+        }
     }
 
     /// The newest keyframe's view of the landmarks whose tracks are alive.

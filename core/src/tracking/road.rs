@@ -51,9 +51,10 @@ impl Tracker<'_> {
             expected_height_m: self.mounting.height_m,
         };
         let settings = &self.settings.road;
-        let is_known = self.motion.prior.is_some() && predicted_m > 0.0;
-        // A step of 1 m sees the road at 1 / length of its height.
         let [shortest_m, longest_m] = FIRST_STEP_RANGE_M;
+        // Who stood a moment ago tells nothing of the step after that.
+        let is_known = self.motion.prior.is_some() && predicted_m > shortest_m;
+        // A step of 1 m sees the road at 1 / length of its height.
         let (start_m, range) =
             if is_known { (predicted_m, COASTED_RANGE) } else { (1.0, [1.0 / longest_m, 1.0 / shortest_m]) };
         let found = align_road(&pair(start_m), range, &self.mounting, settings).ok()?;
