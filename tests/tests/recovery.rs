@@ -36,7 +36,12 @@ impl Outcome {
 }
 
 fn drive(kind: DriveKind, degrade: &[&str], ask: Ask) -> Outcome {
-    let args = SimArgs { drive: kind, frames: Some(110), mono: true, ..SimArgs::default() };
+    let all = SimArgs { drive: kind, mono: true, ..SimArgs::default() };
+    let args = match kind {
+        // To its end: what a turn does to the scale shows when the vehicle goes on.
+        DriveKind::PureRotation => SimArgs { length: 100.0, ..all },
+        _ => SimArgs { frames: Some(110), ..all },
+    };
     let simulator = Simulator::new(&args).expect("a drive");
     let truth: Vec<_> = (0..simulator.n_frames()).map(|i| simulator.camera_at(i)).collect();
     let degrade = DegradeArgs { degrade: degrade.iter().map(|d| d.parse().expect("known")).collect(), degrade_seed: 1 };

@@ -8,7 +8,6 @@ use super::{Aids, DynamicFilter, KeyframePoint, PoseModel, Travelled};
 use crate::bundle::{BundleSettings, adjust};
 use crate::conventions::TimestampNs;
 use crate::keyframe::Column;
-use crate::scale::ScaleFilter;
 
 /// Width of Huber's kernel in the bundle adjustment, standard deviations (95 % efficiency).
 const HUBER_SIGMAS: f64 = 1.345;
@@ -69,9 +68,7 @@ impl Tracker<'_> {
         let n_depths = self.landmarks.iter().filter(|l| l.is_tracked && l.has_depth() && !l.is_outlier).count();
         let was_started = core::mem::replace(&mut self.is_started, n_depths >= self.settings.min_inliers);
         if was_started && !self.is_started {
-            self.scale = ScaleFilter::new(&self.settings.scale);
-            self.drift.forget_scale();
-            self.drift_at_keyframe.forget_scale();
+            self.forget_scale();
         }
     }
 

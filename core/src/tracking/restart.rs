@@ -5,7 +5,6 @@ use super::frame_pose::FramePose;
 use super::tracker::Tracker;
 use super::{FrameStatus, PoseModel, StatusReason, Travelled};
 use crate::conventions::{Rigid, TimestampNs};
-use crate::scale::ScaleFilter;
 
 impl Tracker<'_> {
     /// Opens a window at the predicted pose, if the image has something to hold on to.
@@ -25,8 +24,8 @@ impl Tracker<'_> {
         self.travelled = Some(Travelled::NOTHING);
         let pose = FramePose::predicted(predicted);
         self.drift = if is_first_ever { Drift::none() } else { self.blind_drift(&pose, timestamp_ns) };
-        self.drift.forget_scale();
         self.drift_at_keyframe = self.drift;
+        self.forget_scale();
         self.motion.camera_from_world = *predicted;
         self.motion.timestamp_ns = timestamp_ns;
         self.n_doubtful = 0;
@@ -48,6 +47,6 @@ impl Tracker<'_> {
         self.motion.prior = None;
         self.n_keyframe_points = 0;
         self.road = None;
-        self.scale = ScaleFilter::new(&self.settings.scale);
+        self.forget_scale();
     }
 }

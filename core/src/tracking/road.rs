@@ -3,10 +3,11 @@
 use super::tracker::Tracker;
 use super::{Aids, KeyframePoint, RoadPlane, Travelled};
 use crate::conventions::Rigid;
+use crate::keyframe::WINDOW;
 use crate::pose::RelativePose;
 use crate::scale::{
-    MAX_DEPTHS, RoadAlignment, RoadPair, ScaleMeasurement, ScaleSource, ScaleUpdate, align_road, depth_ratio,
-    wheel_ratio,
+    MAX_DEPTHS, RoadAlignment, RoadPair, ScaleFilter, ScaleMeasurement, ScaleSource, ScaleUpdate, align_road,
+    depth_ratio, wheel_ratio,
 };
 use nalgebra::{Translation3, Vector3};
 
@@ -16,6 +17,12 @@ const FIRST_STEP_RANGE_M: [f64; 2] = [0.1, 8.0];
 const COASTED_RANGE: [f64; 2] = [0.5, 2.0];
 /// Lengths that are tried around one that landmarks tell: how far the scale may drift unseen behind a truck.
 const KNOWN_RANGE: [f64; 2] = [0.75, 1.33];
+
+/// Keyframes without a measured scale after which the window holds no length that was measured: behind a truck that fills
+/// the view the landmarks are the truck's.
+const FORGOTTEN_KEYFRAMES: u32 = WINDOW as u32;
+/// Two measurements of a scale that was forgotten agree within this factor, or are noise.
+const CONFIRMED_RANGE: f64 = 1.2;
 
 /// Upper part of the image whose depths are not compared (peer: the lower 70 % of the rows are).
 const SKY_SHARE: f32 = 0.3;
@@ -87,7 +94,10 @@ impl Tracker<'_> {
         let mut road = None;
         let measured = match self.settings.scale_source {
             ScaleSource::GroundPlane => {
-                road = self.measure_road(earlier_slot, earlier_from_later);
+                let [shortest_m, longest_m] = FIRST_STEP_RANGE_M;
+                let is_forgotten = self.is_scale_forgotten() && step_m > 0.0;
+                let range = if is_forgotten { [step_m / longest_m, step_m / shortest_m] } else { KNOWN_RANGE };
+                road = self.measure_road(earlier_slot, earlier_from_later, range);
                 road.map(|found| ScaleMeasurement {
                     ratio: self.mounting.height_m / found.height_m,
                     relative_sigma: found.relative_sigma,
@@ -103,21 +113,50 @@ impl Tracker<'_> {
         let drift = self.scale.drive(step_m, turn_rad, &self.settings.scale);
         self.drift_at_keyframe.drive(step_m);
         self.window.rescale(drift, earlier, self.landmarks);
+        self.n_unmeasured = self.n_unmeasured.saturating_add(1);
         let Some(measured) = measured else { return nothing };
         let measured = ScaleMeasurement { ratio: measured.ratio / drift, ..measured };
+        let figures = ScaleFigures { ratio: measured.ratio, n_pixels: road.map_or(0, |found| found.n_pixels) };
+        if self.is_scale_forgotten() && !self.scale_is_found_again(measured.ratio) {
+            return figures;
+        }
         let update = self.scale.update(&measured, &self.settings.scale);
         if let ScaleUpdate::Accept { correction, weight, gains } = update {
+            self.n_unmeasured = 0;
             self.drift_at_keyframe.correct_scale(gains);
             self.window.rescale(correction, earlier, self.landmarks);
             if let Some(found) = road.filter(|_| weight > BELIEVED_WEIGHT) {
                 self.learn_normal(&found);
             }
         }
-        ScaleFigures { ratio: measured.ratio, n_pixels: road.map_or(0, |found| found.n_pixels) }
+        figures
+    }
+
+    /// Whether nothing in the window has a length that was measured.
+    fn is_scale_forgotten(&self) -> bool {
+        self.n_unmeasured > FORGOTTEN_KEYFRAMES
+    }
+
+    /// Whether the last two measurements of a forgotten scale agree; then the filter begins anew.
+    fn scale_is_found_again(&mut self, ratio: f64) -> bool {
+        let before = self.unconfirmed_ratio.replace(ratio);
+        let agrees = before.is_some_and(|before| (1.0 / CONFIRMED_RANGE..CONFIRMED_RANGE).contains(&(ratio / before)));
+        if agrees {
+            self.forget_scale();
+        }
+        agrees
+    }
+
+    /// The next measurement is the first one.
+    pub(super) fn forget_scale(&mut self) {
+        self.scale = ScaleFilter::new(&self.settings.scale);
+        self.drift.forget_scale();
+        self.drift_at_keyframe.forget_scale();
+        (self.n_unmeasured, self.unconfirmed_ratio) = (0, None);
     }
 
     /// The road between the two newest keyframes.
-    fn measure_road(&self, earlier_slot: usize, earlier_from_later: Rigid) -> Option<RoadAlignment> {
+    fn measure_road(&self, earlier_slot: usize, earlier_from_later: Rigid, range: [f64; 2]) -> Option<RoadAlignment> {
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
             earlier: &self.pyramids[earlier_slot],
@@ -126,7 +165,7 @@ impl Tracker<'_> {
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
-        align_road(&pair, KNOWN_RANGE, &self.mounting, &self.settings.road).ok()
+        align_road(&pair, range, &self.mounting, &self.settings.road).ok()
     }
 
     /// Compares what is known about the depths in the keyframe before the newest with its triangulated points.

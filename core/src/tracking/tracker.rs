@@ -89,6 +89,10 @@ pub struct Tracker<'m> {
     pub(super) n_keyframe_points: usize,
     pub(super) motion: Motion,
     pub(super) scale: ScaleFilter,
+    /// Keyframes since a measurement of the scale was merged.
+    pub(super) n_unmeasured: u32,
+    /// What the last measurement said of a scale that was forgotten.
+    pub(super) unconfirmed_ratio: Option<f64>,
     /// Way since the last keyframe, as far as the wheels told it.
     pub(super) travelled: Option<Travelled>,
     /// Error of the last believed pose.
@@ -167,6 +171,8 @@ impl<'m> Tracker<'m> {
             n_keyframe_points: 0,
             motion: Motion { camera_from_world: identity, timestamp_ns: 0, velocity: Vector6::zeros(), prior: None },
             scale: ScaleFilter::new(&settings.scale),
+            n_unmeasured: 0,
+            unconfirmed_ratio: None,
             travelled: None,
             drift: Drift::none(),
             drift_at_keyframe: Drift::none(),
