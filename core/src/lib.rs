@@ -35,6 +35,8 @@ pub mod tracking;
 
 pub mod places;
 
+pub mod loop_closure;
+
 pub mod map;
 
 pub mod store;

@@ -264,6 +264,15 @@ impl<'m> PoseGraph<'m> {
         self.n_loops = self.n_loops.saturating_sub(1);
     }
 
+    /// Lays all nodes out as odometry has them, from the first one on: a start that no loop has bent, after
+    /// [`pop_loop`](Self::pop_loop).
+    pub fn lay_out(&mut self) {
+        let Some(first) = self.nodes().first().copied() else { return };
+        for node in &mut self.nodes[..self.n_nodes] {
+            node.world_from_node = first.carried(&node.odometry_from_node);
+        }
+    }
+
     /// Nodes of the skeleton.
     pub fn n_nodes(&self) -> usize {
         self.n_nodes

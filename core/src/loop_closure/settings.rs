@@ -1,0 +1,68 @@
+//! What closing loops believes, and how much.
+
+use crate::math::sim3::Matrix7;
+use crate::places::{RecognizerSettings, VerificationSettings};
+use crate::pose_graph::{Extent, Gauge, OptimizeSettings, information_of_sigmas};
+
+/// Constants of the [`LoopCloser`](super::LoopCloser).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopSettings {
+    /// Which keyframes are candidates.
+    pub recognizer: RecognizerSettings,
+    /// Which candidates are loops.
+    pub verification: VerificationSettings,
+    /// How the graph is optimised.
+    pub optimize: OptimizeSettings,
+    /// Error of a measured loop that all its points have in common (shape of the window, calibration), which its information
+    /// does not know: rotation, rad; translation, m; logarithm of the scale. Ours.
+    pub common_sigmas: [f64; 3],
+    /// A loop may cost this many standard deviations (of all its 7 numbers together) when odometry, the loops before and it
+    /// agree as well as they can: more is a place that only looks the same. Range 4..20; 6 as in
+    /// [`OptimizeSettings::max_loop_sigmas`].
+    pub max_added_sigmas: f64,
+    /// Keyframes between two loops: neighbours say the same. Range 1..50; bounds the work, and the edges that a street
+    /// takes that is driven twice.
+    pub min_keyframes_between: u32,
+}
+
+impl LoopSettings {
+    /// The values that the documentation of the fields explains.
+    pub const STANDARD: Self = Self {
+        recognizer: RecognizerSettings::STANDARD,
+        verification: VerificationSettings::STANDARD,
+        optimize: OptimizeSettings {
+            gauge: Gauge::First,
+            extent: Extent::Whole,
+            is_scale_free: true,
+            max_loop_sigmas: 6.0,
+            max_iterations: 30,
+        },
+        common_sigmas: [3e-3, 0.1, 0.01],
+        max_added_sigmas: 6.0,
+        min_keyframes_between: 3,
+    };
+}
+
+/// What odometry loses on its way: a random walk in the length driven.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OdometryNoise {
+    /// Rotation, rad per square root of a metre.
+    pub rotation_rad: f64,
+    /// Translation, m per square root of a metre.
+    pub translation_m: f64,
+    /// Logarithm of the scale, per square root of a metre: the scale is measured on the road all the time, so it creeps.
+    pub log_scale: f64,
+    /// A step counts as at least this long, m.
+    pub min_step_m: f64,
+}
+
+impl OdometryNoise {
+    /// Ours, and loose: 1.8 degrees, 0.6 m and 6 % of the scale in a kilometre, all three as random walks.
+    pub const STANDARD: Self = Self { rotation_rad: 1e-3, translation_m: 0.02, log_scale: 2e-3, min_step_m: 0.1 };
+
+    /// Information of a step of this length, for [`KeyframePacket`](super::KeyframePacket).
+    pub fn information(&self, step_m: f64) -> Matrix7 {
+        let root = libm::sqrt(step_m.max(self.min_step_m));
+        information_of_sigmas(self.rotation_rad * root, self.translation_m * root, self.log_scale * root)
+    }
+}
