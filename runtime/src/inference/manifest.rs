@@ -163,10 +163,7 @@ impl Manifest {
     /// # Errors
     /// [`ModelError::NotBuilt`], [`ModelError::Missing`] or [`ModelError::WrongFile`].
     pub fn check(&self, row: &ModelRow) -> Result<(), ModelError> {
-        #[cfg(feature = "inference")]
-        return self.bytes(row).map(drop);
-        #[cfg(not(feature = "inference"))]
-        Err(ModelError::NotBuilt)
+        self.bytes(row).map(drop)
     }
 
     /// The bytes of a network's file, if they are what the row says.
@@ -186,6 +183,11 @@ impl Manifest {
             return Err(ModelError::WrongFile { name, file, found, expected: row.sha256.clone(), export });
         }
         Ok(bytes)
+    }
+
+    #[cfg(not(feature = "inference"))]
+    fn bytes(&self, _: &ModelRow) -> Result<Vec<u8>, ModelError> {
+        Err(ModelError::NotBuilt)
     }
 }
 

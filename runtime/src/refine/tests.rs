@@ -316,7 +316,8 @@ fn a_killed_refinement_leaves_a_map_that_opens_whole() {
         let mut buffer = Vec::new();
         for page in map.pages() {
             let (label, _) = map.read_page(page.page_id, &mut buffer).expect("a whole page");
-            assert!((1..=27).contains(&label.n_anchors), "{label:?}");
+            // Faint anchors end as it goes on.
+            assert!(label.n_anchors <= 27, "{label:?}");
         }
         assert!(map.chunks().count() == 2 && map.keyframes().iter().all(|view| map.read_image(view).is_ok()));
     }

@@ -22,8 +22,9 @@ const NOT_OBSERVED: [&str; 6] = [
     "process.compute_driver",
 ];
 
-/// Rows of what is only there for when tracks break, or for data that this drive has none of.
-const RESTS_ON_A_GOOD_DRIVE: [&str; 3] = ["tracking.features", "tracking.dense_matchers", "tracking.speed_readings"];
+/// Rows of what is only there for when tracks break, for streets that are seen again, or for data that this drive has none of.
+const RESTS_ON_A_GOOD_DRIVE: [&str; 4] =
+    ["tracking.features", "tracking.dense_matchers", "tracking.speed_readings", "store.returning_pages"];
 
 /// Runs `kilogs replay`.
 fn replay(drive: &Drive, out: &Path, n_threads: usize) {
