@@ -4,7 +4,9 @@ use kilogs_camera::source::SourceError;
 use kilogs_core::frame::ImageTooShort;
 use kilogs_core::frame::gray::FrameBytesMismatch;
 use kilogs_core::frame::pyramid::{PyramidStorageTooSmall, WrongImageSize};
+use kilogs_core::loop_closure::LoopStorageTooSmall;
 use kilogs_core::places::{PlaceStorageTooSmall, VocabularyProblem};
+use kilogs_core::pose_graph::PushProblem;
 use kilogs_core::tracking::TrackerStorageProblem;
 use kilogs_eval::EvalError;
 use std::path::PathBuf;
@@ -42,6 +44,12 @@ pub(crate) enum PlacesError {
     /// The index refuses its memory.
     #[error(transparent)]
     Index(#[from] PlaceStorageTooSmall),
+    /// Closing loops refuses its memory.
+    #[error(transparent)]
+    Loops(#[from] LoopStorageTooSmall),
+    /// The graph refuses a keyframe.
+    #[error("closing loops: {0}")]
+    Graph(#[from] PushProblem),
     /// A file cannot be read or written.
     #[error("{what} {}: {source}", path.display())]
     File {

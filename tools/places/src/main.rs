@@ -1,6 +1,7 @@
-//! `cargo run --release -p kilogs-places -- train|measure`: the vocabulary of place recognition, and what it finds on
-//! recordings.
+//! `cargo run --release -p kilogs-places -- train|measure|close`: the vocabulary of place recognition, what it finds
+//! on recordings, and what closing loops makes of their trajectories.
 
+mod close;
 mod drive;
 mod error;
 mod frames;
@@ -25,12 +26,15 @@ enum Command {
     Train(train::TrainArgs),
     /// Drives through a recording with true poses and counts which places are recognized.
     Measure(measure::MeasureArgs),
+    /// Drives through a recording with true poses, closes loops, and compares the trajectory with and without.
+    Close(close::CloseArgs),
 }
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Train(args) => train::run(&args),
         Command::Measure(args) => measure::run(&args),
+        Command::Close(args) => close::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

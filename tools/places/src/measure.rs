@@ -1,6 +1,6 @@
 //! What recognition finds on a recording whose true poses are known.
 
-use crate::drive::{Keyframe, keyframes};
+use crate::drive::{Keyframe, Tracked, keyframes};
 use crate::error::PlacesError;
 use crate::frames::Frames;
 use crate::verifier::Verifier;
@@ -60,7 +60,7 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<(), PlacesError> {
     let range = PlaybackRange { start: args.start, frames: args.frames, passes: 1 };
     let truth = true_poses(&args.folder)?;
     let frames = Frames::of_folder(&args.folder, &range)?;
-    let (camera, keyframes) = keyframes(frames, args.start, args.features, args.points)?;
+    let Tracked { camera, keyframes, .. } = keyframes(frames, args.start, args.features, args.points)?;
     let n_points = keyframes.iter().map(|k| k.points.len()).sum::<usize>() / keyframes.len().max(1);
     println!("{}: {} keyframes, {n_points} described points each", args.folder.display(), keyframes.len());
     let min_gap = RecognizerSettings::STANDARD.min_gap_keyframes as usize;
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &MeasureArgs) -> Result<(), PlacesError> {
     Ok(())
 }
 
-fn true_poses(folder: &Path) -> Result<Vec<Rigid>, PlacesError> {
+pub(crate) fn true_poses(folder: &Path) -> Result<Vec<Rigid>, PlacesError> {
     match read_truth(&folder.join("poses.txt"))? {
         Truth::PerImage(poses) => Ok(poses),
         Truth::Stamped(poses) => Ok(poses.into_iter().map(|pose| pose.world_from_camera).collect()),
