@@ -1,6 +1,7 @@
 //! What one element of each row costs. Sizes come from the types that are stored, never from the file.
 
 use super::{Budget, Location, Row};
+use crate::map_store::PictureRule;
 use crate::mapping::{MapperSettings, capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
 use crate::splat::cpu::CpuBackend;
@@ -149,7 +150,9 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
         Row::SplatVisibleGaussians | Row::SplatRowEntries | Row::SplatPairs | Row::SplatViews => 0,
         Row::StorePageQueue | Row::StoreReturningPages => bytes(budget.store_capacity().page_bytes),
         Row::StoreImageQueue => input.pixels() * channels,
-        Row::StoreKeyframeTable => bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>()),
+        Row::StoreKeyframeTable => {
+            bytes(size_of::<StoredKeyframe>() + size_of::<PageLabel>() + PictureRule::bytes_per_place())
+        }
         Row::TelemetryFrameRecords => bytes(size_of::<FrameReport>() + size_of::<StageTimes>()),
         Row::InferenceArena => u64::from(input.has_networks),
         Row::ProcessComputeDriver => u64::from(input.compute != ComputeMemory::Cpu),

@@ -17,6 +17,7 @@ mod error;
 mod held_out;
 mod jpeg;
 mod layout;
+mod picture_rule;
 mod queue;
 mod read_back;
 mod reader;
@@ -30,6 +31,7 @@ mod tests;
 pub use editor::MapStoreEditor;
 pub use error::{Damage, DamageKind, StoreError};
 pub use held_out::{HELD_OUT_PERIOD, HeldOutRule, is_held_out_frame};
+pub use picture_rule::PictureRule;
 pub use read_back::{ReadFile, StoredFile};
 pub use reader::{MapStoreReader, StoreBytes};
 pub use writer::{

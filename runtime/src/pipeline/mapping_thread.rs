@@ -7,7 +7,7 @@ use super::queue::{Received, Receiver, Sender};
 use super::resume::Resume;
 use super::tracking_thread::milliseconds;
 use crate::budget::{Row, Usage};
-use crate::map_store::{MapStoreReader, MapStoreWriter, StoreImage, StoreSummary, WriteRefusal};
+use crate::map_store::{MapStoreReader, MapStoreWriter, PictureRule, StoreImage, StoreSummary, WriteRefusal};
 use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, MappingImage};
 use crate::output::Stage;
 use crate::run_error::RunError;
@@ -41,6 +41,7 @@ pub struct MappingWork {
     /// Views that the finished map can be opened with.
     max_views: usize,
     n_views: usize,
+    pictures: PictureRule,
     n_images_left_out: u64,
     n_views_refused: u64,
     has_warned_of_steps: bool,
@@ -91,13 +92,16 @@ pub fn prepare(
     let mut mapper = memory::mapper(plan)?;
     let max_views = plan.budget.capacity(Row::StoreKeyframeTable);
     let (manifest, settings) = (memory::manifest(plan), memory::store_settings(plan));
+    let mut pictures = PictureRule::new(max_views);
     let (store, n_views) = match &plan.resume {
         None => (MapStoreWriter::create(&plan.map_folder(), &manifest, &settings)?, 0),
         Some(resume) => {
             let map = MapStoreReader::open(&resume.map, max_views)?;
             let store = MapStoreWriter::resume(&map, &manifest, &settings)?;
             mapper.resume(&map);
-            (store, map.keyframes().len() + map.held_out().len())
+            let views = || map.keyframes().iter().chain(map.held_out());
+            views().filter(|view| view.image_bytes > 0).for_each(|view| pictures.remember(view));
+            (store, views().count())
         }
     };
     let (link, (jobs, free)) = MapperLink::new(plan, usage);
@@ -113,6 +117,7 @@ pub fn prepare(
         progress: Arc::clone(progress),
         max_views,
         n_views,
+        pictures,
         n_images_left_out: 0,
         n_views_refused: 0,
         has_warned_of_steps: false,
@@ -242,21 +247,30 @@ impl MappingWork {
             image_crc: 0,
         };
         let image = StoreImage { pixels: &job.pixels, stride_bytes: self.row_bytes };
-        self.n_views += 1;
+        let has_picture = self.pictures.admits(&keyframe);
+        self.n_views += usize::from(has_picture || !job.is_held_out);
         if self.n_views > self.max_views {
             self.usage.refuse(Row::StoreKeyframeTable, 1);
         }
+        if !has_picture {
+            return self.log_place(&keyframe);
+        }
         match self.store.write_keyframe(&keyframe, image) {
-            Ok(()) => {}
+            Ok(()) => self.pictures.remember(&keyframe),
             Err(WriteRefusal::Busy) => {
                 self.n_images_left_out += 1;
                 self.usage.refuse(Row::StoreImageQueue, 1);
-                // A held-out view without its image judges nothing; a keyframe is needed by its anchors.
-                if !job.is_held_out && self.store.place_keyframe(&keyframe).is_err() {
-                    log::warn!("keyframe {} could not be logged: the disk is too slow", keyframe.keyframe_id);
-                }
+                self.log_place(&keyframe);
             }
             Err(refused) => self.refuse(&refused),
+        }
+    }
+
+    /// Stores a view without its picture. A held-out one judges nothing then; a keyframe is needed by its anchors.
+    fn log_place(&self, view: &StoredKeyframe) {
+        if !view.is_held_out && self.store.place_keyframe(view).is_err() {
+            let _lifted = seal::lift();
+            log::warn!("keyframe {} could not be logged: the disk is too slow", view.keyframe_id);
         }
     }
 
