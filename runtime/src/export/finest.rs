@@ -1,4 +1,4 @@
-//! One level per place: a coarse anchor is left out where a finer one describes the same voxel.
+//! One level per place: of the anchors that describe the same voxel, the finest that is wanted.
 //!
 //! A map holds a surface once per distance from which it was seen, and drawing fades between these levels by the
 //! camera's distance. A file without levels can show only one of them.
@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 const BATCH_ANCHORS: usize = 1 << 20;
 
 /// Which anchors of a map are shown; one bit each.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Shown {
     hidden: Vec<u64>,
 }
@@ -36,51 +36,60 @@ impl Shown {
     }
 }
 
-/// Passes over the map that [`finest`] will make.
+/// Passes over the map of which [`finest`] tells.
 pub(super) fn n_passes(pages: &[PageLabel]) -> usize {
     1 + pages.iter().map(|page| page.n_anchors as usize).sum::<usize>() / BATCH_ANCHORS
 }
 
-/// Hides every anchor in whose voxel there is an anchor of a finer level.
+/// Hides every anchor finer than `finest_level` in whose voxel there is one of that level or a coarser one, and of the others
+/// every anchor in whose voxel there is a finer one.
 pub(super) fn finest(
     reading: &mut PageWalk<'_>,
     pages: &[PageLabel],
+    finest_level: u8,
     page_done: impl Fn(),
 ) -> Result<Shown, WalkError> {
-    finest_in_batches(reading, pages, BATCH_ANCHORS, page_done)
+    finest_in_batches(reading, pages, finest_level, BATCH_ANCHORS, page_done)
 }
 
 fn finest_in_batches(
     reading: &mut PageWalk<'_>,
     pages: &[PageLabel],
+    finest_level: u8,
     batch_anchors: usize,
     page_done: impl Fn(),
 ) -> Result<Shown, WalkError> {
     let n_anchors = pages.iter().map(|page| page.n_anchors as usize).sum();
-    let mut shown = Shown::all(n_anchors);
+    let mut wanted = Shown::all(n_anchors);
     let mut cells: Vec<(VoxelKey, bool)> = Vec::with_capacity(n_anchors.min(batch_anchors));
-    for first in (0..n_anchors).step_by(batch_anchors.max(1)) {
+    for first in (0..n_anchors).step_by(batch_anchors.max(1)).filter(|_| finest_level > 0) {
         let batch = first..first + batch_anchors;
-        cells.clear();
-        reading.walk(pages, &page_done, &mut |walked| {
-            let coarse = batch.contains(&walked.anchor_idx) && walked.anchor.level > 0;
-            if let Some(cell) = voxel(walked, walked.anchor.level).filter(|_| coarse) {
-                cells.push((cell, false));
+        collect(reading, pages, &mut cells, |walked| {
+            batch.contains(&walked.anchor_idx) && walked.anchor.level >= finest_level
+        })?;
+        reading.walk(pages, || (), &mut |walked| {
+            let is_finer = walked.anchor.level < finest_level;
+            let mut levels = (finest_level..N_LEVELS as u8).filter(|_| is_finer);
+            if levels.any(|level| voxel(walked, level).and_then(|cell| find(&cells, cell)).is_some()) {
+                wanted.hide(walked.anchor_idx);
             }
             Ok(())
         })?;
-        cells.sort_unstable();
-        cells.dedup();
+    }
+    let mut shown = wanted.clone();
+    for first in (0..n_anchors).step_by(batch_anchors.max(1)) {
+        let batch = first..first + batch_anchors;
+        collect(reading, pages, &mut cells, |walked| batch.contains(&walked.anchor_idx) && walked.anchor.level > 0)?;
         reading.walk(pages, || (), &mut |walked| {
             for level in walked.anchor.level.saturating_add(1)..N_LEVELS as u8 {
                 let found = voxel(walked, level).and_then(|cell| find(&cells, cell));
                 if let Some((_, covered)) = found.and_then(|idx| cells.get_mut(idx)) {
-                    *covered = true;
+                    *covered |= wanted.contains(walked.anchor_idx);
                 }
             }
             Ok(())
         })?;
-        reading.walk(pages, || (), &mut |walked| {
+        reading.walk(pages, &page_done, &mut |walked| {
             let own = voxel(walked, walked.anchor.level).filter(|_| batch.contains(&walked.anchor_idx));
             let covered = own.and_then(|cell| cells.get(find(&cells, cell)?)).is_some_and(|(_, covered)| *covered);
             if covered {
@@ -90,6 +99,23 @@ fn finest_in_batches(
         })?;
     }
     Ok(shown)
+}
+
+/// The voxels of some anchors, in order, none of them covered yet.
+fn collect(
+    reading: &mut PageWalk<'_>,
+    pages: &[PageLabel],
+    cells: &mut Vec<(VoxelKey, bool)>,
+    wanted: impl Fn(&WalkedAnchor<'_>) -> bool,
+) -> Result<(), WalkError> {
+    cells.clear();
+    reading.walk(pages, || (), &mut |walked| {
+        cells.extend(voxel(walked, walked.anchor.level).filter(|_| wanted(walked)).map(|cell| (cell, false)));
+        Ok(())
+    })?;
+    cells.sort_unstable();
+    cells.dedup();
+    Ok(())
 }
 
 fn find(cells: &[(VoxelKey, bool)], cell: VoxelKey) -> Option<usize> {
@@ -139,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn coarse_anchors_give_way_to_finer_ones_of_their_voxel_whatever_page_they_are_on() {
+    fn a_voxel_shows_the_finest_level_that_is_wanted_whatever_page_its_anchors_are_on() {
         // Seen from the first keyframe: a 5 m voxel at z 10-15 and one at z 20-25, a 1 m voxel at z 12-13; from the
         // second: a 0.25 m one at z 12.6 and a 0.1 m one at z 30, where nothing coarser is.
         let anchors = [
@@ -150,16 +176,21 @@ mod tests {
             (1, 1, 0.6, 2.6),
             (1, 0, 0.5, 20.0),
         ];
-        let expected = [false, true, false, true, true, true];
-        for batch_anchors in [1, 2, 100] {
+        let expected = [
+            (0, [false, true, false, true, true, true]),
+            (1, [false, true, false, true, true, true]),
+            (2, [false, true, true, true, false, true]),
+            (3, [true, true, false, false, false, true]),
+        ];
+        for ((finest_level, expected), batch_anchors) in expected.iter().flat_map(|row| [1, 2, 100].map(|n| (row, n))) {
             let scratch = tempfile::tempdir().expect("a scratch folder");
             write_map(scratch.path(), &anchors);
             let map = MapStoreReader::open(scratch.path(), 10).expect("the store opens");
             let mut reading = PageWalk::new(&map);
-            let shown = finest_in_batches(&mut reading, map.pages(), batch_anchors, || ());
+            let shown = finest_in_batches(&mut reading, map.pages(), *finest_level, batch_anchors, || ());
             let shown = shown.ok().expect("read");
             let found: Vec<bool> = (0..anchors.len()).map(|idx| shown.contains(idx)).collect();
-            assert_eq!(found, expected, "batches of {batch_anchors}");
+            assert_eq!(found, expected, "level {finest_level}, batches of {batch_anchors}");
         }
     }
 }

@@ -4,6 +4,7 @@ mod decode;
 mod finest;
 mod part_file;
 mod ply;
+mod selection;
 mod spz;
 mod walk;
 
@@ -12,6 +13,7 @@ use decode::{MapGaussian, decode_gaussian};
 use finest::Shown;
 use indicatif::{ProgressBar, ProgressStyle};
 use ply::PlyWriter;
+pub use selection::{Region, Selection};
 use spz::{COLUMNS, SpzWriter};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,7 +21,8 @@ use walk::{PageWalk, WalkError};
 
 /// Options of `kilogs export`.
 #[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Example:\n  kilogs export out/04/map --ply street.ply\n\n\
+#[command(after_help = "Examples:\n  kilogs export out/04/map --ply street.ply\n  \
+    kilogs export out/04/map --spz crossing.spz --region -20,0,20,100 --finest-level 2\n\n\
     A PLY file has the layout of the reference 3D Gaussian splatting; SuperSplat, antimatter15/splat and others open it. \
     An SPZ file has version 3 of Niantic's format, with y up and z back as it demands.")]
 #[command(group(clap::ArgGroup::new("format").required(true).multiple(false)))]
@@ -32,9 +35,9 @@ pub struct ExportArgs {
     /// Write an SPZ file: Niantic's compressed format, a tenth of the size.
     #[arg(long, value_name = "FILE", group = "format")]
     pub spz: Option<PathBuf>,
-    /// Write the anchors of all levels on top of each other, instead of the finest at each place.
-    #[arg(long)]
-    pub all_levels: bool,
+    /// What goes into the file.
+    #[command(flatten)]
+    pub selection: Selection,
 }
 
 /// What was exported.
@@ -42,8 +45,10 @@ pub struct ExportArgs {
 pub struct ExportSummary {
     /// Gaussians in the file.
     pub gaussians: u64,
-    /// Gaussians of coarse anchors that a finer one stands in for.
-    pub coarser: u64,
+    /// Gaussians of anchors that one of another level stands in for.
+    pub other_levels: u64,
+    /// Gaussians outside the region that was asked for.
+    pub outside: u64,
     /// Gaussians left out: a number that is not finite, or a keyframe that the log lost.
     pub left_out: u64,
     /// Pages left out because they are damaged.
@@ -76,7 +81,7 @@ impl ExportError {
     }
 }
 
-/// Exports a map page by page, in the memory of one page, one bit per anchor, and 16 MiB for comparing levels.
+/// Exports a map page by page, in the memory of one page, two bits per anchor, and 16 MiB for comparing levels.
 ///
 /// # Errors
 /// [`ExportError`] when the map cannot be opened or the file not be written; damaged pages are left out and logged.
@@ -91,12 +96,12 @@ pub fn run(args: &ExportArgs, max_keyframes: usize) -> Result<ExportSummary, Exp
         log::warn!("{}: left out: {damage}", args.map.display());
     }
     let bar = ProgressBar::new(0).with_style(progress_style());
-    let summary = export(&map, (file, is_spz), args.all_levels, &bar);
+    let summary = export(&map, (file, is_spz), &args.selection, &bar);
     bar.finish_and_clear();
     let summary = summary?;
-    let ExportSummary { gaussians, coarser, left_out, damaged_pages } = summary;
+    let ExportSummary { gaussians, other_levels, outside, left_out, damaged_pages } = summary;
     log::info!(
-        "{}: {gaussians} Gaussians written, {coarser} coarser ones and {left_out} lost ones left out, \
+        "{}: {gaussians} Gaussians written; left out: {other_levels} of other levels, {outside} outside, {left_out} lost, \
          {damaged_pages} damaged pages",
         file.display()
     );
@@ -118,7 +123,7 @@ fn progress_style() -> ProgressStyle {
 fn export(
     map: &MapStoreReader,
     (file, is_spz): (&Path, bool),
-    all_levels: bool,
+    selection: &Selection,
     bar: &ProgressBar,
 ) -> Result<ExportSummary, ExportError> {
     let write_error = |source| ExportError::Write { path: file.to_owned(), source };
@@ -129,28 +134,30 @@ fn export(
     let mut reading = PageWalk::new(map);
     let mut summary = ExportSummary::default();
     let mut pages = map.pages().to_vec();
+    pages.retain(|page| selection.admits_page(page));
     pages.retain(|page| {
         let verified = reading.verify(page).inspect_err(|problem| log::warn!("left out: {problem}"));
         summary.damaged_pages += u64::from(verified.is_err());
         verified.is_ok()
     });
     let n_writing = if is_spz { COLUMNS.len() } else { 1 };
-    let n_comparing = if all_levels { 0 } else { finest::n_passes(&pages) };
+    let n_comparing = if selection.all_levels { 0 } else { finest::n_passes(&pages) };
     bar.set_length(((1 + n_comparing + n_writing) * pages.len()) as u64);
-    let shown = match all_levels {
+    let shown = match selection.all_levels {
         true => Shown::all(0),
-        false => finest::finest(&mut reading, &pages, || bar.inc(1)).map_err(in_words)?,
+        false => finest::finest(&mut reading, &pages, selection.finest_level, || bar.inc(1)).map_err(in_words)?,
     };
     let mut reach_m = 0.0_f32;
     let counting = reading.walk(&pages, || bar.inc(1), &mut |walked| {
         for params in walked.gaussians {
             let decoded = walked.keyframe.and_then(|keyframe| decode_gaussian(keyframe, walked.anchor, params));
             match decoded {
-                Some(gaussian) if shown.contains(walked.anchor_idx) => {
+                Some(_) if !shown.contains(walked.anchor_idx) => summary.other_levels += 1,
+                Some(gaussian) if selection.admits(&gaussian) => {
                     summary.gaussians += 1;
                     reach_m = gaussian.mean_m.iter().fold(reach_m, |reach_m, coordinate| reach_m.max(coordinate.abs()));
                 }
-                Some(_) => summary.coarser += 1,
+                Some(_) => summary.outside += 1,
                 None => summary.left_out += 1,
             }
         }
@@ -161,7 +168,8 @@ fn export(
         reading.walk(&pages, || bar.inc(1), &mut |walked| {
             let Some(keyframe) = walked.keyframe.filter(|_| shown.contains(walked.anchor_idx)) else { return Ok(()) };
             let decoded = |params| decode_gaussian(keyframe, walked.anchor, params);
-            walked.gaussians.iter().filter_map(decoded).try_for_each(|gaussian| push(&gaussian))
+            let mut wanted = walked.gaussians.iter().filter_map(decoded).filter(|gaussian| selection.admits(gaussian));
+            wanted.try_for_each(|gaussian| push(&gaussian))
         })
     };
     if is_spz {

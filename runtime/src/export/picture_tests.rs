@@ -150,7 +150,12 @@ fn the_exported_file_drawn_by_itself_is_the_map_s_picture() {
     let scratch = tempfile::tempdir().expect("a scratch folder");
     write_turned_map(scratch.path(), DecoderParams::EXPLICIT);
     let file = scratch.path().join("street.ply");
-    let args = ExportArgs { map: scratch.path().to_owned(), ply: Some(file.clone()), spz: None, all_levels: false };
+    let args = ExportArgs {
+        map: scratch.path().to_owned(),
+        ply: Some(file.clone()),
+        spz: None,
+        selection: Selection::default(),
+    };
     let summary = run(&args, 10).expect("exported");
     assert_eq!(summary.gaussians, u64::from(N_KEYFRAMES) * ANCHORS_PER_KEYFRAME as u64 * 2);
 
@@ -185,7 +190,7 @@ fn what_decoders_add_is_in_the_map_s_picture_and_in_the_file() {
     write_turned_map(&plain, DecoderParams::EXPLICIT);
     write_turned_map(&learned, DecoderParams::residual(&decoder_of_features_only()));
     let file = scratch.path().join("street.ply");
-    let args = ExportArgs { map: learned.clone(), ply: Some(file.clone()), spz: None, all_levels: false };
+    let args = ExportArgs { map: learned.clone(), ply: Some(file.clone()), spz: None, selection: Selection::default() };
     run(&args, 10).expect("exported");
     let (from_map, from_file) = (picture_of_map(&learned), picture_of_file(&file));
     let difference = largest_difference(&from_map, &from_file);

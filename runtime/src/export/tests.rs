@@ -82,7 +82,8 @@ fn write_map(folder: &Path) {
 }
 
 fn export(map: &Path, file: &Path) -> Result<ExportSummary, ExportError> {
-    let args = ExportArgs { map: map.to_owned(), ply: Some(file.to_owned()), spz: None, all_levels: false };
+    let args =
+        ExportArgs { map: map.to_owned(), ply: Some(file.to_owned()), spz: None, selection: Selection::default() };
     run(&args, 10)
 }
 
@@ -99,7 +100,7 @@ fn an_independent_reader_finds_what_the_map_holds() {
     let file = scratch.path().join("street.ply");
     // The run's folder is as good as the map's.
     let summary = export(scratch.path(), &file).expect("exported");
-    assert_eq!(summary, ExportSummary { gaussians: 3, coarser: 0, left_out: 1, damaged_pages: 1 });
+    assert_eq!(summary, ExportSummary { gaussians: 3, left_out: 1, damaged_pages: 1, ..ExportSummary::default() });
 
     let bytes = std::fs::read(&file).expect("read");
     let header = HEADER.replace("vertex 4", "vertex 3");
@@ -118,6 +119,27 @@ fn an_independent_reader_finds_what_the_map_holds() {
     }
     assert_eq!(number(0, "f_dc_0"), 0.0);
     assert_eq!(number(2, "opacity"), -2.0);
+}
+
+#[test]
+fn a_region_or_a_chunk_is_exported_alone() {
+    let scratch = tempfile::tempdir().expect("a scratch folder");
+    write_map(scratch.path());
+    let check = |selection: Selection, gaussians: u64, outside: u64| {
+        let file = scratch.path().join("part.ply");
+        let args = ExportArgs { map: scratch.path().to_owned(), ply: Some(file.clone()), spz: None, selection };
+        let summary = run(&args, 10).expect("exported");
+        assert_eq!((summary.gaussians, summary.outside), (gaussians, outside), "{args:?}");
+        let header = HEADER.replace("vertex 4", &format!("vertex {gaussians}")).len();
+        let n_bytes = std::fs::metadata(&file).expect("a file").len();
+        assert_eq!(n_bytes, (header + gaussians as usize * 17 * 4) as u64);
+    };
+    let region = |text: &str| Selection { region: Some(text.parse().expect("a region")), ..Selection::default() };
+    check(region("-1,0,1,10"), 2, 3);
+    check(region("-1,0,1,20"), 3, 2);
+    check(region("5,0,9,100"), 0, 5);
+    check(Selection { chunks: vec![0], ..Selection::default() }, 5, 0);
+    check(Selection { chunks: vec![7], ..Selection::default() }, 0, 0);
 }
 
 #[test]
@@ -148,7 +170,12 @@ fn an_spz_file_holds_what_the_map_holds() {
     let scratch = tempfile::tempdir().expect("a scratch folder");
     write_map(&scratch.path().join("map"));
     let file = scratch.path().join("street.spz");
-    let args = ExportArgs { map: scratch.path().to_owned(), ply: None, spz: Some(file.clone()), all_levels: false };
+    let args = ExportArgs {
+        map: scratch.path().to_owned(),
+        ply: None,
+        spz: Some(file.clone()),
+        selection: Selection::default(),
+    };
     let summary = run(&args, 10).expect("exported");
     assert_eq!((summary.gaussians, summary.left_out), (5, 1));
 
@@ -196,6 +223,10 @@ fn the_command_line_takes_a_map_and_exactly_one_format() {
     };
     check("export out/04/map --ply street.ply", true);
     check("export --spz street.spz out/04/map", true);
+    check("export map --spz street.spz --region -20,0,20,100 --chunk 1 --chunk 2 --finest-level 2", true);
+    check("export map --ply street.ply --region -20,0", false);
+    check("export map --ply street.ply --finest-level 9", false);
+    check("export map --ply street.ply --finest-level 1 --all-levels", false);
     check("export out/04/map", false);
     check("export --ply street.ply", false);
     check("export out/04/map --ply street.ply --spz street.spz", false);
