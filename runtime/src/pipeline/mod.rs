@@ -17,6 +17,7 @@ mod matchers;
 mod memory;
 mod odometry;
 mod plan;
+mod priority;
 mod queue;
 mod record;
 mod resume;

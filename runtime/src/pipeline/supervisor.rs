@@ -4,6 +4,7 @@ use super::finish::{self, Concluded};
 use super::mapping_thread::{self, MappingProgress};
 use super::matchers::Matchers;
 use super::plan::RunPlan;
+use super::priority::{behind, step_behind};
 use super::queue::{self, Received, Receiver};
 use super::record::Record;
 use super::tally::{ScaleSource, Tally};
@@ -62,7 +63,10 @@ pub fn supervise(
     let tracker = memory::tracker(plan)?;
     let matchers = Matchers::open(plan)?;
     let progress = Arc::new(MappingProgress::default());
-    let mapping = mapping_thread::prepare(plan, &usage, &progress)?;
+    let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
+    let prepare = || mapping_thread::prepare(plan, &usage, &progress);
+    // In lock-step tracking waits for mapping anyway.
+    let mapping = if plan.is_live() { behind(prepare).map_err(spawn_failed)?? } else { prepare()? };
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let settings = InputSettings {
         service: service.to_owned(),
@@ -80,10 +84,16 @@ pub fn supervise(
 
     let (mut told, tracked, mapped) = std::thread::scope(|scope| {
         let _ending = StopWhenDropped(&stop);
-        let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
         let tracking = thread("tracking").spawn_scoped(scope, move || tracking.run(input)).map_err(spawn_failed)?;
         let mapping = mapping_work
-            .map(|work| thread("mapping").spawn_scoped(scope, || work.run()))
+            .map(|work| {
+                thread("mapping").spawn_scoped(scope, || {
+                    if plan.is_live() {
+                        step_behind();
+                    }
+                    work.run()
+                })
+            })
             .transpose()
             .map_err(spawn_failed)?;
         let publishing = thread("odometry")
