@@ -27,9 +27,9 @@ pub struct MapAlignment {
 }
 
 impl MapAlignment {
-    /// Map and odometry are the same at first.
-    pub fn new(limits: AlignmentLimits) -> Self {
-        Self { map_from_odometry: Similarity::identity(), limits }
+    /// Begins at `map_from_odometry`: the identity, where the map begins with the drive.
+    pub fn new(map_from_odometry: Similarity, limits: AlignmentLimits) -> Self {
+        Self { map_from_odometry, limits }
     }
 
     /// What is published with the newest frame.

@@ -45,6 +45,7 @@ pub struct LoopCloser<'m> {
     camera: Pinhole,
     vocabulary: Vocabulary<'m>,
     settings: LoopSettings,
+    points_per_view: usize,
     recognizer: PlaceRecognizer<'m>,
     kept: KeptPlaces<'m>,
     tally: &'m mut [Tally],
@@ -72,18 +73,13 @@ impl<'m> LoopCloser<'m> {
         storage: LoopStorage<'m>,
     ) -> Result<Self, LoopStorageTooSmall> {
         storage.check(capacities)?;
-        let kept = KeptPlaces {
-            kept: storage.kept,
-            features: storage.point_features,
-            depths: storage.point_depths,
-            points_per_place: capacities.points,
-            n_kept: 0,
-        };
+        let kept = KeptPlaces { kept: storage.kept, points: storage.points, n_kept: 0 };
         Ok(Self {
             simd,
             camera,
             vocabulary,
             settings,
+            points_per_view: capacities.points,
             recognizer: PlaceRecognizer::new(PlaceIndex::new(storage.index)?, settings.recognizer),
             kept,
             tally: storage.tally,
@@ -143,6 +139,16 @@ impl<'m> LoopCloser<'m> {
         self.newest.as_ref().and_then(corrected).unwrap_or_else(Similarity::identity)
     }
 
+    /// Keyframes that can be recognized.
+    pub fn n_places(&self) -> usize {
+        self.kept.n_kept
+    }
+
+    /// Keyframes of the skeleton.
+    pub fn n_nodes(&self) -> usize {
+        self.graph.n_nodes()
+    }
+
     /// The loops that are closed.
     pub fn loops(&self) -> impl Iterator<Item = LoopVerdict> + '_ {
         self.graph.loops()
@@ -150,7 +156,7 @@ impl<'m> LoopCloser<'m> {
 
     /// The points that there is room for.
     fn view<'a>(&self, points: &PlaceView<'a>) -> PlaceView<'a> {
-        let n = points.features.len().min(points.depths.len()).min(self.kept.points_per_place);
+        let n = points.features.len().min(points.depths.len()).min(self.points_per_view);
         PlaceView { features: &points.features[..n], depths: &points.depths[..n] }
     }
 

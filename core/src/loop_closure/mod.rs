@@ -9,12 +9,14 @@
 mod alignment;
 mod closer;
 mod outcome;
+mod points;
 mod settings;
 mod storage;
 
 pub use alignment::{AlignmentLimits, MapAlignment};
 pub use closer::{KeyframePacket, LoopCloser};
 pub use outcome::{JudgedCandidate, KeyframeOutcome, LoopDecision};
+pub use points::{PlacePoints, PointsInMemory};
 pub use settings::{LoopSettings, OdometryNoise};
 pub use storage::{KeptPlace, LoopCapacities, LoopStorage, LoopStorageTooSmall};
 

@@ -1,10 +1,9 @@
 //! The memory that closing loops works in.
 
+use super::points::PlacePoints;
 use crate::conventions::Similarity;
-use crate::features::Feature;
 use crate::places::{
-    BYTES_PER_PLACE_POINT, LoopScratch, PlaceStorage, PlaceStorageTooSmall, PlaceView, PointDepth, Remembered, Tally,
-    bytes_per_point, index_bytes,
+    LoopScratch, PlaceStorage, PlaceStorageTooSmall, PlaceView, Remembered, Tally, bytes_per_point, index_bytes,
 };
 use crate::pose_graph::{GraphCapacities, LoopEdge, Node, Place, SolverStorage};
 use core::fmt;
@@ -18,17 +17,17 @@ pub struct LoopCapacities {
     pub words: usize,
     /// Features of a keyframe that become words; what is beyond is not looked at.
     pub features: usize,
-    /// Described points that are kept of a keyframe; what is beyond is not looked at.
+    /// Described points of a keyframe that are compared; what is beyond is not looked at.
     pub points: usize,
     /// The pose graph.
     pub graph: GraphCapacities,
 }
 
 impl LoopCapacities {
-    /// Bytes of all slices of a [`LoopStorage`].
+    /// Bytes of all slices of a [`LoopStorage`]; its [`PlacePoints`] are not among them.
     pub const fn bytes(&self) -> usize {
         index_bytes(self.places, self.words)
-            + self.places * (size_of::<KeptPlace>() + self.points * BYTES_PER_PLACE_POINT)
+            + self.places * size_of::<KeptPlace>()
             + self.features * size_of::<Tally>()
             + self.points * bytes_per_point()
             + self.graph.bytes()
@@ -39,12 +38,11 @@ impl LoopCapacities {
 #[derive(Clone, Copy, Debug)]
 pub struct KeptPlace {
     place: Place,
-    n_points: usize,
 }
 
 impl Default for KeptPlace {
     fn default() -> Self {
-        Self { place: Place { keyframe_id: 0, odometry_from_keyframe: Similarity::identity() }, n_points: 0 }
+        Self { place: Place { keyframe_id: 0, odometry_from_keyframe: Similarity::identity() } }
     }
 }
 
@@ -55,10 +53,8 @@ pub struct LoopStorage<'m> {
     pub index: PlaceStorage<'m>,
     /// `places`.
     pub kept: &'m mut [KeptPlace],
-    /// `points` for each of the `places`.
-    pub point_features: &'m mut [Feature],
-    /// As many.
-    pub point_depths: &'m mut [PointDepth],
+    /// A slot for each of the `places`, with room for `points`.
+    pub points: &'m mut (dyn PlacePoints + Send),
     /// `features`.
     pub tally: &'m mut [Tally],
     /// Of verification: `nearest` has twice `points`, the others `points`.
@@ -103,8 +99,6 @@ impl LoopStorage<'_> {
             ("index.slots", self.index.slots.len(), places),
             ("index.first_of_word", self.index.first_of_word.len(), words),
             ("kept", self.kept.len(), places),
-            ("point_features", self.point_features.len(), places * points),
-            ("point_depths", self.point_depths.len(), places * points),
             ("tally", self.tally.len(), features),
             ("scratch.nearest", self.scratch.nearest.len(), 2 * points),
             ("scratch.pairs", self.scratch.pairs.len(), points),
@@ -125,13 +119,11 @@ impl LoopStorage<'_> {
     }
 }
 
-/// The points of the keyframes in the index.
+/// The keyframes in the index.
 #[derive(Debug)]
 pub(super) struct KeptPlaces<'m> {
     pub kept: &'m mut [KeptPlace],
-    pub features: &'m mut [Feature],
-    pub depths: &'m mut [PointDepth],
-    pub points_per_place: usize,
+    pub points: &'m mut (dyn PlacePoints + Send),
     pub n_kept: usize,
 }
 
@@ -147,25 +139,17 @@ impl KeptPlaces<'_> {
             Remembered::Instead { of } => self.slot(of),
         };
         let Some(slot) = slot else { return };
-        let n_points = view.features.len().min(view.depths.len()).min(self.points_per_place);
-        let range = slot * self.points_per_place..slot * self.points_per_place + n_points;
-        if let (Some(kept), Some(features), Some(depths)) =
-            (self.kept.get_mut(slot), self.features.get_mut(range.clone()), self.depths.get_mut(range))
-        {
-            features.copy_from_slice(&view.features[..n_points]);
-            depths.copy_from_slice(&view.depths[..n_points]);
-            *kept = KeptPlace { place: *place, n_points };
+        if let Some(kept) = self.kept.get_mut(slot) {
+            *kept = KeptPlace { place: *place };
+            self.points.keep(slot, view);
         }
     }
 
     /// Where a keyframe stood, and its points.
-    pub(super) fn find(&self, ordinal: u32) -> Option<(Place, PlaceView<'_>)> {
+    pub(super) fn find(&mut self, ordinal: u32) -> Option<(Place, PlaceView<'_>)> {
         let slot = self.slot(ordinal)?;
-        let kept = self.kept.get(slot)?;
-        let first = slot * self.points_per_place;
-        let range = first..first + kept.n_points;
-        let view = PlaceView { features: self.features.get(range.clone())?, depths: self.depths.get(range)? };
-        Some((kept.place, view))
+        let place = self.kept.get(slot)?.place;
+        Some((place, self.points.find(slot)?))
     }
 
     fn slot(&self, ordinal: u32) -> Option<usize> {

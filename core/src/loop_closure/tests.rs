@@ -102,8 +102,12 @@ fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec
             first_of_word: &mut vec![0; words],
         },
         kept: &mut vec![KeptPlace::default(); places],
-        point_features: &mut vec![Feature::NONE; places * points],
-        point_depths: &mut vec![PointDepth::default(); places * points],
+        points: &mut PointsInMemory {
+            features: &mut vec![Feature::NONE; places * points],
+            depths: &mut vec![PointDepth::default(); places * points],
+            n_points: &mut vec![0; places],
+            points_per_place: points,
+        },
         tally: &mut vec![Tally::default(); features],
         scratch: LoopScratch {
             nearest: &mut vec![Nearest::NONE; 2 * points],
@@ -194,7 +198,7 @@ fn full_containers_are_values() {
 fn the_odometry_frame_moves_in_bounded_steps_and_arrives() {
     let check = |wanted: [f64; 7]| {
         let wanted = sim3::exp(&Tangent7::from(wanted));
-        let mut alignment = MapAlignment::new(AlignmentLimits::STANDARD);
+        let mut alignment = MapAlignment::new(Similarity::identity(), AlignmentLimits::STANDARD);
         for k in 0..2000 {
             let camera = truth(k);
             let before = alignment.map_from_odometry();

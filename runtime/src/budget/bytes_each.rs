@@ -4,6 +4,7 @@ use super::{Budget, Location, Row};
 use crate::map_store::PictureRule;
 use crate::mapping::{MapperSettings, capacity as mapper, mapping_camera};
 use crate::output::StageTimes;
+use crate::pipeline::loops;
 use crate::splat::cpu::CpuBackend;
 use crate::splat::device::{HostCopy, arena_bytes};
 use crate::splat::program::buffer_plan;
@@ -57,6 +58,8 @@ pub struct PlanInput {
     pub compute: ComputeMemory,
     /// Trained networks run beside the tracker.
     pub has_networks: bool,
+    /// Loops are closed.
+    pub has_loops: bool,
 }
 
 /// What computes the map, and in whose memory.
@@ -130,9 +133,27 @@ fn host_bytes_each(row: Row, budget: &Budget, input: &PlanInput) -> u64 {
             input.frame_bytes
                 + bytes(size_of::<FrameReport>() + capacity(Row::TrackingTracks) * size_of::<KeyframePoint>())
         }
+        Row::PipelineLoopQueue
+        | Row::LoopsPlaces
+        | Row::LoopsKeyframes
+        | Row::LoopsGraphNodes
+        | Row::LoopsWorkspaces
+            if !input.has_loops =>
+        {
+            0
+        }
+        Row::PipelineLoopQueue => bytes(loops::bytes_per_job(input.pixels(), capacity(Row::TrackingTracks))),
+        Row::LoopsPlaces => bytes(loops::BYTES_PER_PLACE),
+        Row::LoopsKeyframes => bytes(loops::BYTES_PER_KEYFRAME),
+        Row::LoopsGraphNodes => {
+            bytes(budget.loop_graph().bytes()).div_ceil(bytes(capacity(Row::LoopsGraphNodes)).max(1))
+        }
+        Row::LoopsWorkspaces => {
+            bytes(loops::workspace_bytes(input.width as usize, input.height as usize, capacity(Row::LoopsPoints)))
+        }
         Row::MapAnchors => bytes(mapper::BYTES_PER_ANCHOR),
         // Their sizes are part of the rows that they multiply.
-        Row::MapGaussiansPerAnchor | Row::StorePageAnchors => 0,
+        Row::MapGaussiansPerAnchor | Row::StorePageAnchors | Row::LoopsPoints => 0,
         Row::MapNewAnchors => bytes(mapper::bytes_per_new_anchor(capacity(Row::MapGaussiansPerAnchor))),
         Row::MapVoxels => bytes(mapper::BYTES_PER_VOXEL),
         Row::MapKeyframeImages => {
@@ -284,6 +305,7 @@ mod tests {
             mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: true },
             compute,
             has_networks: false,
+            has_loops: true,
         }
     }
 

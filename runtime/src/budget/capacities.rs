@@ -9,6 +9,7 @@ use crate::mapping::capacity::chunk_file_bytes;
 use crate::splat::Capacities;
 use kilogs_camera::ipc::FrameSlots;
 use kilogs_core::correspondence::{DenseCapacities, sparse};
+use kilogs_core::pose_graph::GraphCapacities;
 use kilogs_core::store::page_file_bytes;
 use kilogs_core::tracking::TrackerCapacities;
 
@@ -36,6 +37,13 @@ impl Budget {
     /// Images of the dense matcher.
     pub fn dense_capacities(&self, input: &PlanInput) -> DenseCapacities {
         DenseCapacities { width: input.width as usize, height: input.height as usize }
+    }
+
+    /// The pose graph of the loop closer: a street that is seen again has a loop every few keyframes, and neighboring loops
+    /// fill few blocks of the factor.
+    pub fn loop_graph(&self) -> GraphCapacities {
+        let nodes = self.capacity(Row::LoopsGraphNodes);
+        GraphCapacities { nodes, loops: nodes / 8, blocks: nodes }
     }
 
     /// Anchors and images of the mapper.

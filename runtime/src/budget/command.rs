@@ -56,6 +56,7 @@ impl PlanCameraArgs {
             mapping: MappingPlan::of(&settings.mapping.mapper, width),
             compute,
             has_networks: settings.has_networks(),
+            has_loops: settings.loop_closure.enabled,
         })
     }
 }

@@ -68,6 +68,12 @@ pub enum Row {
     TrackingDenseMatchers,
     TrackingSpeedReadings,
     PipelineKeyframeQueue,
+    PipelineLoopQueue,
+    LoopsPlaces,
+    LoopsPoints,
+    LoopsKeyframes,
+    LoopsGraphNodes,
+    LoopsWorkspaces,
     MapAnchors,
     MapGaussiansPerAnchor,
     MapNewAnchors,
@@ -142,6 +148,12 @@ rows! {
     TrackingDenseMatchers = ["tracking"."dense_matchers"], "the work space of dense matching", HOST, Refuse, 1..=1;
     TrackingSpeedReadings = ["tracking"."speed_readings"], "a reading of the vehicle's speed", HOST, OverwriteOldest, 16..=1 << 16;
     PipelineKeyframeQueue = ["pipeline"."keyframe_queue"], "a keyframe on its way to the mapper", HOST, Refuse, 1..=64;
+    PipelineLoopQueue = ["pipeline"."loop_queue"], "a keyframe on its way to the loop closer", HOST, Refuse, 1..=64;
+    LoopsPlaces = ["loops"."places"], "a keyframe that can be recognized; its points are on disk", HOST, EvictWorst, 64..=1 << 20;
+    LoopsPoints = ["loops"."points"], "counted in loops.workspaces", HOST, Refuse, 64..=8192;
+    LoopsKeyframes = ["loops"."keyframes"], "where odometry put a keyframe, and where it is in the map", HOST, Refuse, 64..=1 << 24;
+    LoopsGraphNodes = ["loops"."graph_nodes"], "a keyframe of the pose graph's skeleton, with its part of the equations", HOST, EvictWorst, 64..=1 << 20;
+    LoopsWorkspaces = ["loops"."workspaces"], "the vocabulary, and what one keyframe is described and compared in", HOST, Refuse, 1..=1;
     MapAnchors = ["map"."anchors"], "an anchor with its trainable numbers, feature and their moments", BACKEND, Refuse, 64..=1 << 24;
     MapGaussiansPerAnchor = ["map"."gaussians_per_anchor"], "counted in map.anchors", BACKEND, Refuse, 1..=32;
     MapNewAnchors = ["map"."new_anchors"], "an anchor that a keyframe is about to spawn", HOST, Refuse, 16..=1 << 20;

@@ -12,6 +12,7 @@ const COLOR_KITTI: PlanInput = PlanInput {
     mapping: MappingPlan { resolution: 0.5, window: 6, learned_decoder: true, trains_depth: false },
     compute: ComputeMemory::Cpu,
     has_networks: false,
+    has_loops: true,
 };
 
 const FULL_HD: PlanInput = PlanInput { width: 1920, height: 1080, frame_bytes: 1920 * 1080 * 3, ..COLOR_KITTI };
@@ -279,4 +280,17 @@ fn the_default_holds_a_software_device() {
         &PlanInput { compute: ComputeMemory::SharedDevice, ..COLOR_KITTI },
     );
     assert!(plan.check().is_ok(), "{plan}");
+}
+
+#[test]
+fn closing_loops_costs_nothing_when_it_is_off() {
+    let budget = profile("memory_budget.toml");
+    let [without, with] =
+        [false, true].map(|has_loops| Plan::compute(&budget, &PlanInput { has_loops, ..COLOR_KITTI }));
+    let of_loops = |plan: &Plan| {
+        let is_theirs = |row: Row| row.spec().section == "loops" || row == Row::PipelineLoopQueue;
+        plan.rows().iter().filter(|planned| is_theirs(planned.row)).map(|planned| planned.bytes).sum::<u64>()
+    };
+    assert_eq!((of_loops(&without), of_loops(&with)), (0, with.host_bytes() - without.host_bytes()));
+    assert!(of_loops(&with) < 16 << 20, "{with}");
 }

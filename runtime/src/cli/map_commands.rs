@@ -73,6 +73,7 @@ fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
         },
         compute: ComputeMemory::Cpu,
         has_networks: false,
+        has_loops: false,
     };
     Capacities {
         gaussians_per_anchor: manifest.gaussians_per_anchor as usize,

@@ -239,7 +239,38 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("lifecycle.error_threshold", Range::closed(0.0, 1.0), lifecycle.error_threshold),
     whole!("lifecycle.views", Range::closed(1.0, 1000.0), lifecycle.views),
     number!("lifecycle.max_gaussians_per_m", Range::closed(1.0, 1000000.0), lifecycle.max_gaussians_per_m),
-    switch!("loop_closure.enabled", Some(true), loop_closure.enabled),
+    switch!("loop_closure.enabled", None, loop_closure.enabled),
+    Setting {
+        key: "loop_closure.vocabulary",
+        kind: Kind::Text { put: |settings, text| settings.loop_closure.vocabulary = text.into() },
+    },
+    whole!(
+        "loop_closure.min_gap_keyframes",
+        Range::closed(10.0, 1000.0),
+        loop_closure.closer.recognizer.min_gap_keyframes
+    ),
+    whole!(
+        "loop_closure.consecutive_keyframes",
+        Range::closed(1.0, 20.0),
+        loop_closure.closer.recognizer.n_consecutive
+    ),
+    whole!("loop_closure.min_inliers", Range::closed(10.0, 500.0), loop_closure.closer.verification.min_inliers),
+    number!(
+        "loop_closure.min_inlier_ratio",
+        Range::closed(0.0, 1.0),
+        loop_closure.closer.verification.min_inlier_ratio
+    ),
+    number!("loop_closure.min_spread", Range::closed(0.0, 0.5), loop_closure.closer.verification.min_spread),
+    number!("loop_closure.max_scale", Range::closed(1.05, 10.0), loop_closure.closer.verification.max_scale),
+    number!("loop_closure.max_distance_m", Range::closed(1.0, 50.0), loop_closure.closer.verification.max_distance_m),
+    number!("loop_closure.max_added_sigmas", Range::closed(4.0, 20.0), loop_closure.closer.max_added_sigmas),
+    whole!("loop_closure.min_keyframes_between", Range::closed(1.0, 50.0), loop_closure.closer.min_keyframes_between),
+    number!("loop_closure.drift_rotation_rad", Range::closed(0.00001, 0.1), loop_closure.noise.rotation_rad),
+    number!("loop_closure.drift_translation_m", Range::closed(0.0001, 1.0), loop_closure.noise.translation_m),
+    number!("loop_closure.drift_log_scale", Range::closed(0.00001, 0.1), loop_closure.noise.log_scale),
+    number!("loop_closure.follow_rotation_rad", Range::closed(0.0001, 0.1), loop_closure.alignment.rotation_rad),
+    number!("loop_closure.follow_translation_m", Range::closed(0.001, 10.0), loop_closure.alignment.translation_m),
+    number!("loop_closure.follow_log_scale", Range::closed(0.0001, 0.1), loop_closure.alignment.log_scale),
     Setting {
         key: "inference.models",
         kind: Kind::Text { put: |settings, text| settings.inference.models = text.into() },

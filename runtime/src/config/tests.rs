@@ -53,11 +53,6 @@ fn a_bad_setting_names_key_value_range_and_origin() {
     check(None, &["mapping.enabled=maybe"], &["mapping.enabled", "neither true nor false"]);
     check(None, &["tracking.matcher=orb"], &["tracking.matcher", "orb", "not a choice", "classical"]);
     check(None, &["tracking.dense_fallback=maybe"], &["maybe", "not a choice", "on"]);
-    check(
-        None,
-        &["loop_closure.enabled=true"],
-        &["loop_closure.enabled", "not available in this version", "write false"],
-    );
     check(None, &["tracking.min_inliers=15.5"], &["tracking.min_inliers", "not a whole number", "[6, 200]"]);
     check(None, &["tracking.min_inliers=5"], &["tracking.min_inliers = 5", "[6, 200]"]);
     check(None, &["tracking.lk_levels=5"], &["tracking.lk_levels = 5", "[1, 4]"]);

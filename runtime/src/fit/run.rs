@@ -60,7 +60,7 @@ pub fn run(request: FitRequest) -> Result<(), RunError> {
         !is_interrupted.load(Ordering::Relaxed)
     })?;
     let told = Told { folder, tally, watch, failure: None, camera_failure: None };
-    pipeline::conclude(&plan, &usage, Concluded { told, mapping: Some(mapping), started })
+    pipeline::conclude(&plan, &usage, Concluded { told, mapping: Some(mapping), loops: Default::default(), started })
 }
 
 fn train(

@@ -258,7 +258,8 @@ impl ModelRow {
     }
 }
 
-fn usual_places() -> Vec<PathBuf> {
+/// Where what was trained is looked for: beside the program, in the current folder, in the source tree.
+pub(crate) fn usual_places() -> Vec<PathBuf> {
     let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join("models")));
     let source_tree = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
     beside.into_iter().chain([PathBuf::from("models"), source_tree]).collect()

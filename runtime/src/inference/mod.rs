@@ -35,6 +35,7 @@ mod sparse;
 mod two_views;
 
 pub use error::ModelError;
+pub(crate) use manifest::usual_places;
 pub use manifest::{DepthRow, DepthUnit, Manifest, ModelRow, Port, Role};
 
 use crate::settings::{InferenceSettings, Matcher};

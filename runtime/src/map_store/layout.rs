@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 pub(super) const MANIFEST: &str = "manifest.kgs";
 pub(super) const KEYFRAMES: &str = "keyframes.kgs";
+pub(super) const ALIGNMENT: &str = "alignment.kgs";
 pub(super) const PAGES: &str = "pages";
 pub(super) const CHUNKS: &str = "chunks";
 pub(super) const IMAGES: &str = "images";
@@ -33,7 +34,7 @@ pub(super) fn prepare(folder: &Path) -> Result<(), StoreError> {
     if !is_map && entries.next().is_some() {
         return Err(StoreError::Occupied { path: folder.to_owned() });
     }
-    for name in [KEYFRAMES, MANIFEST] {
+    for name in [KEYFRAMES, ALIGNMENT, MANIFEST] {
         let path = folder.join(name);
         if path.exists() {
             fs::remove_file(&path).map_err(|e| StoreError::write("removing the old", &path, e))?;

@@ -1,6 +1,6 @@
 //! Finding out what a map's folder holds, without an index and whatever happened to it.
 
-use super::{Damage, DamageKind, StoreBytes, StoreError, layout};
+use super::{Alignment, Damage, DamageKind, StoreBytes, StoreError, layout};
 use kilogs_core::store::{
     ChunkLabel, KEYFRAME_RECORD_BYTES, MapCounts, PAGE_HEADER_BYTES, PageLabel, RecordProblem, StoredKeyframe,
     decode_chunk, decode_keyframe, page_length,
@@ -50,6 +50,7 @@ impl Found {
 pub(super) fn scan(folder: &Path) -> Result<Found, StoreError> {
     let mut found = Found::default();
     scan_keyframes(folder, &mut found)?;
+    align(folder, &mut found)?;
     for (page_id, path) in numbered_files(&folder.join(layout::PAGES))? {
         let file = relative(layout::PAGES, &path);
         match read_label(&path)? {
@@ -96,6 +97,16 @@ fn scan_keyframes(folder: &Path, found: &mut Found) -> Result<(), StoreError> {
             }
             Err(problem) => found.damage(layout::KEYFRAMES, DamageKind::Record { offset, problem }),
         }
+    }
+    Ok(())
+}
+
+/// Moves the keyframes to where loops have put them; without a readable alignment they stay where they were mapped.
+fn align(folder: &Path, found: &mut Found) -> Result<(), StoreError> {
+    match Alignment::read(folder)? {
+        Ok(alignment) if alignment.is_empty() => {}
+        Ok(alignment) => found.keyframes.values_mut().for_each(|view| alignment.apply(view)),
+        Err(problem) => found.damage(layout::ALIGNMENT, DamageKind::Record { offset: 0, problem }),
     }
     Ok(())
 }
@@ -167,6 +178,7 @@ pub(super) fn bytes(folder: &Path) -> Result<StoreBytes, StoreError> {
         fs::metadata(&path).map(|data| data.len()).map_err(|e| StoreError::read("opening", &path, e))
     };
     let map_bytes = in_folder(layout::PAGES)? + in_folder(layout::CHUNKS)?;
-    let rest = in_folder(layout::IMAGES)? + of_file(layout::KEYFRAMES)? + of_file(layout::MANIFEST)?;
+    let alignment = fs::metadata(folder.join(layout::ALIGNMENT)).map_or(0, |data| data.len());
+    let rest = in_folder(layout::IMAGES)? + of_file(layout::KEYFRAMES)? + of_file(layout::MANIFEST)? + alignment;
     Ok(StoreBytes { map_bytes, store_bytes: map_bytes + rest })
 }

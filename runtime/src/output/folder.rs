@@ -5,7 +5,7 @@ use super::keyframe_table::{KeyframeTable, PlacedKeyframe};
 use super::sink::TextSink;
 use super::trajectory::{self, TrajectorySummary};
 use super::{OutputError, StageTimes, frame_row};
-use kilogs_core::conventions::{Rigid, TimestampNs};
+use kilogs_core::conventions::{Rigid, Similarity, TimestampNs};
 use kilogs_core::tracking::{FrameReport, FrameStatus};
 use std::path::{Path, PathBuf};
 
@@ -116,24 +116,18 @@ impl OutputFolder {
         self.frame_log.push(None)
     }
 
-    /// Moves a keyframe to where bundle adjustment or a loop closure found it to be: poses relative to it are
-    /// multiplied by `scale`. A keyframe that was never written is ignored.
+    /// Moves every keyframe, and the frames that hang on it, as loops ask for: `moved` knows keyframes by their ordinals.
     ///
     /// # Errors
     /// [`OutputError`] when the table cannot be read or written.
-    pub fn correct_keyframe(
-        &mut self,
-        ordinal: u32,
-        world_from_keyframe: &Rigid,
-        scale: f64,
-    ) -> Result<(), OutputError> {
-        match self.keyframes.get(ordinal)? {
-            Some(before) => {
-                let world_from_keyframe = *world_from_keyframe;
-                self.keyframes.place(ordinal, &PlacedKeyframe { world_from_keyframe, scale, ..before })
-            }
-            None => Ok(()),
+    pub fn align(&mut self, moved: impl Fn(u32) -> Similarity) -> Result<(), OutputError> {
+        for ordinal in 0..self.keyframes.len() {
+            let Some(before) = self.keyframes.get(ordinal)? else { continue };
+            let aligned = moved(ordinal) * Similarity::from_isometry(before.world_from_keyframe, before.scale);
+            let (world_from_keyframe, scale) = (aligned.isometry, aligned.scaling());
+            self.keyframes.place(ordinal, &PlacedKeyframe { world_from_keyframe, scale, ..before })?;
         }
+        Ok(())
     }
 
     /// Expands the trajectory with the keyframes' final places and closes all files; a file that cannot be written does

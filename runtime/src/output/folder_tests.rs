@@ -147,8 +147,10 @@ fn a_corrected_keyframe_moves_turns_and_scales_the_frames_that_hang_on_it() {
     // Keyframe 1 looks along +x of the world after the correction, and its metres are 0.8 of the world's.
     let right_turn = UnitQuaternion::from_scaled_axis(Vector3::y() * std::f64::consts::FRAC_PI_2);
     let world_from_keyframe = Rigid::from_parts(nalgebra::Translation3::new(1.0, 0.0, 9.0), right_turn);
-    folder.correct_keyframe(1, &world_from_keyframe, 0.8).expect("corrected");
-    folder.correct_keyframe(77, &world_from_keyframe, 0.8).expect("ignored");
+    let aligned = Similarity::from_isometry(world_from_keyframe, 0.8);
+    let was_at = Similarity::from_isometry(Rigid::translation(0.0, 0.0, 10.0), 1.0);
+    let moved = |ordinal| if ordinal == 1 { aligned * was_at.inverse() } else { Similarity::identity() };
+    folder.align(moved).expect("corrected");
     folder.finish().expect("finished");
     let text = std::fs::read_to_string(dir.path().join("trajectory_tum.txt")).expect("trajectory");
     let last = text.lines().last().expect("a line");
@@ -165,9 +167,9 @@ fn writing_a_frame_takes_no_memory() {
     for k in 0..2000_u32 {
         let written =
             folder.frame(&frame(u64::from(k), FrameStatus::Tracked, k / 2, f64::from(k % 2)), &StageTimes::default());
-        let corrected = folder.correct_keyframe(k / 2, &Rigid::identity(), 1.0);
-        assert!(written.is_ok() && corrected.is_ok());
+        assert!(written.is_ok());
     }
+    assert!(folder.align(|_| Similarity::identity()).is_ok());
     assert_eq!(sealed.violations(), (0, 0));
     drop(sealed);
     assert_eq!(folder.finish().expect("finished").n_poses, 2000);

@@ -82,6 +82,7 @@ fn the_plan_of_the_shipped_budget_is_listed_with_its_peaks() {
         mapping: crate::budget::MappingPlan { resolution: 0.5, window: 6, learned_decoder: false, trains_depth: true },
         compute: crate::budget::ComputeMemory::Cpu,
         has_networks: false,
+        has_loops: false,
     };
     let plan = Plan::compute(&budget, &input);
     let usage = Usage::default();

@@ -1,5 +1,6 @@
 //! After the drive: trajectories, the final map judged, the reports.
 
+use super::loops::LoopSummary;
 use super::mapping_thread::MappingSummary;
 use super::memory;
 use super::plan::RunPlan;
@@ -7,7 +8,7 @@ use super::supervisor::Told;
 use super::tally::Tally;
 use crate::budget::{Row, Usage};
 use crate::map_store::MapStoreReader;
-use crate::output::report::{Backend, Mapping, Memory, Report, Time};
+use crate::output::report::{Backend, Mapping, Memory, Report, Time, Tracking};
 use crate::output::{Picture, RenderedKeyframe, write_html, write_render};
 use crate::render_views::command::RenderError;
 use crate::render_views::{MapQuality, judge_map};
@@ -26,6 +27,8 @@ pub struct Concluded {
     pub told: Told,
     /// What mapping did, when it was on.
     pub mapping: Option<MappingSummary>,
+    /// What closing loops did.
+    pub loops: LoopSummary,
     /// Start of the run.
     pub started: Instant,
 }
@@ -35,7 +38,7 @@ pub struct Concluded {
 /// # Errors
 /// [`RunError`] of what ended the drive, else of what could not be written or judged, else of the camera process.
 pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), RunError> {
-    let Concluded { told, mapping, started } = drive;
+    let Concluded { told, mapping, loops, started } = drive;
     let mut failures: Vec<RunError> = told.failure.into_iter().collect();
     let sealed = seal::report();
     let counts = told.folder.counts();
@@ -68,7 +71,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
             rss_slope_bytes_per_km: watch.rss_slope_bytes_per_km(),
             ..Memory::planned(&plan.memory, usage, plan.budget.host_bytes(), plan.budget.device_bytes())
         },
-        tracking: told.tally.tracking(path_length_m),
+        tracking: Tracking { loops: loops.n_loops, ..told.tally.tracking(path_length_m) },
         mapping: mapping.map_or_else(Mapping::default, |m| mapping_report(&m, &quality)),
         backend: Backend {
             kind: mapping.map(|_| plan.compute.kind().to_owned()),

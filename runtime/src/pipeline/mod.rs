@@ -4,6 +4,7 @@
 //! tracking thread (sealed)   input -> tracker -> odometry      never waits for mapping or the disk when live
 //!        | keyframes              | one record per frame
 //! mapping thread (sealed)         |                            trains in the time left; hands pages to the store
+//! loops thread                    |                            recognizes places, moves the map
 //!        | pages, images          |
 //! map-store thread           this thread                       files, memory watch, health, progress, Ctrl-C
 //! ```
@@ -11,6 +12,7 @@
 mod camera_image;
 mod finish;
 mod given_poses;
+pub(crate) mod loops;
 mod mapper_link;
 mod mapping_thread;
 mod matchers;

@@ -2,11 +2,14 @@
 //!
 //! Publishing takes memory for every message, so it has a thread of its own, which nobody seals and nobody waits for.
 
+use super::loops::SharedAlignment;
+use super::plan::RunPlan;
 use super::queue::Receiver;
 use crate::output::OdometryPublisher;
 use crate::run_error::RunError;
 use kilogs_camera::ipc::OdometryMessage;
-use kilogs_core::conventions::{Rigid, TimestampNs, quaternion_xyzw};
+use kilogs_core::conventions::{Rigid, Similarity, TimestampNs, quaternion_xyzw};
+use kilogs_core::loop_closure::MapAlignment;
 use kilogs_core::tracking::{FrameReport, FrameStatus};
 
 const NS_PER_S: f64 = 1e9;
@@ -18,10 +21,14 @@ pub const CAPACITY: usize = 16;
 ///
 /// # Errors
 /// [`RunError::Input`] when the shared memory cannot be used.
-pub fn publish(frames: &Receiver<FrameReport>, map_from_odometry: &Rigid) -> Result<(), RunError> {
-    let mut stream = OdometryStream::open(map_from_odometry)?;
+pub fn publish(frames: &Receiver<FrameReport>, plan: &RunPlan, alignment: &SharedAlignment) -> Result<(), RunError> {
+    let begins_at = Similarity::from_isometry(plan.map_from_odometry(), 1.0);
+    let mut followed = MapAlignment::new(begins_at, plan.settings.loop_closure.alignment);
+    let mut stream = OdometryStream::open()?;
     while let Some(report) = frames.pop() {
-        stream.publish(&report);
+        let wanted = alignment.lock().newest() * begins_at;
+        let map_from_odometry = followed.follow(&wanted, &report.world_from_camera);
+        stream.publish(&report, &map_from_odometry);
     }
     Ok(())
 }
@@ -30,25 +37,24 @@ pub fn publish(frames: &Receiver<FrameReport>, map_from_odometry: &Rigid) -> Res
 struct OdometryStream {
     publisher: OdometryPublisher,
     before: Option<(TimestampNs, Rigid)>,
-    map_from_odometry: Rigid,
 }
 
 impl OdometryStream {
-    fn open(map_from_odometry: &Rigid) -> Result<Self, RunError> {
+    fn open() -> Result<Self, RunError> {
         let publisher = OdometryPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
-        Ok(Self { publisher, before: None, map_from_odometry: *map_from_odometry })
+        Ok(Self { publisher, before: None })
     }
 
     /// A message that cannot be sent is a loss for the reader, not for the run.
-    fn publish(&mut self, report: &FrameReport) {
-        let message = self.message(report);
+    fn publish(&mut self, report: &FrameReport, map_from_odometry: &Similarity) {
+        let message = self.message(report, map_from_odometry);
         self.before = Some((report.timestamp_ns, report.world_from_camera));
         if let Err(problem) = self.publisher.publish(&message) {
             log::debug!("{problem}");
         }
     }
 
-    fn message(&self, report: &FrameReport) -> OdometryMessage {
+    fn message(&self, report: &FrameReport, map_from_odometry: &Similarity) -> OdometryMessage {
         let odometry_from_camera = &report.world_from_camera;
         let velocity_in_camera_m_per_s = match &self.before {
             Some((before_ns, odometry_from_before)) if report.timestamp_ns > *before_ns => {
@@ -69,9 +75,9 @@ impl OdometryStream {
             is_keyframe: u32::from(report.is_tracked_keyframe()),
             odometry_from_camera_m: odometry_from_camera.translation.vector.into(),
             odometry_from_camera_xyzw: quaternion_xyzw(&odometry_from_camera.rotation),
-            map_from_odometry_m: self.map_from_odometry.translation.vector.into(),
-            map_from_odometry_xyzw: quaternion_xyzw(&self.map_from_odometry.rotation),
-            map_from_odometry_scale: 1.0,
+            map_from_odometry_m: map_from_odometry.isometry.translation.vector.into(),
+            map_from_odometry_xyzw: quaternion_xyzw(&map_from_odometry.isometry.rotation),
+            map_from_odometry_scale: map_from_odometry.scaling(),
             velocity_in_camera_m_per_s,
             covariance: covariance(report),
         }

@@ -104,6 +104,7 @@ impl RunPlan {
         settings.mapping.mapper.page_distance_m = f64::INFINITY;
         // Views are trained in any order and at their own size, long after their depth was estimated.
         settings.mapping.mapper.step.weights.depth = 0.0;
+        settings.loop_closure.enabled = false;
         let budget = args.budget()?;
         let budget = max_gaussians.map_or(Ok(budget.clone()), |n| budget.with_max_gaussians(n))?;
         check_views(format.n_frames.unwrap_or(0), budget.capacity(Row::StoreKeyframeTable) as u64)?;
@@ -121,6 +122,7 @@ impl RunPlan {
         let format = SourceFormat { camera, mounting, pixel_format, n_frames };
         let mut settings = mapping_settings(args, &format)?;
         settings.mapping.mapper.learned_decoder = map.has_learned_decoder();
+        settings.loop_closure.enabled = false;
         // Nothing is stored of a keyframe's depth.
         settings.mapping.mapper.step.weights.depth = 0.0;
         let budget = budget.with_gaussians_per_anchor(manifest.gaussians_per_anchor);
@@ -142,7 +144,10 @@ impl RunPlan {
         let compute = args.compute()?;
         let mapper = &settings.mapping.mapper;
         let mapping = MappingPlan { resolution: training_resolution, ..MappingPlan::of(mapper, format.camera.width) };
-        let memory_input = plan_input(&format, mapping, compute.memory(), settings.has_networks());
+        let memory_input = PlanInput {
+            has_loops: settings.loop_closure.enabled,
+            ..plan_input(&format, mapping, compute.memory(), settings.has_networks())
+        };
         let memory = Plan::compute(&budget, &memory_input);
         memory.check()?;
         let command = std::env::args().collect::<Vec<_>>().join(" ");
@@ -192,6 +197,11 @@ impl RunPlan {
     /// Where the odometry begins in the map.
     pub fn map_from_odometry(&self) -> Rigid {
         self.resume.as_ref().map_or_else(Rigid::identity, |resume| resume.map_from_odometry)
+    }
+
+    /// Id in the map of the drive's first keyframe.
+    pub fn first_keyframe_id(&self) -> u32 {
+        self.resume.as_ref().map_or(0, |resume| resume.first_keyframe_id)
     }
 
     /// What the splat backend is made of.
@@ -244,6 +254,7 @@ fn plan_input(format: &SourceFormat, mapping: MappingPlan, compute: ComputeMemor
         mapping,
         compute,
         has_networks,
+        has_loops: false,
     }
 }
 

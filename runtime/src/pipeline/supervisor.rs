@@ -1,6 +1,7 @@
 //! The main thread during a run: starts the others, writes what they tell, watches memory and camera.
 
 use super::finish::{self, Concluded};
+use super::loops::{self, LoopSummary, SharedAlignment};
 use super::mapping_thread::{self, MappingProgress};
 use super::matchers::Matchers;
 use super::plan::RunPlan;
@@ -19,7 +20,7 @@ use crate::telemetry::MemoryWatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_camera::ipc::HealthMessage;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
@@ -68,6 +69,10 @@ pub fn supervise(
     // In lock-step tracking waits for mapping anyway.
     let mapping = if plan.is_live() { behind(prepare).map_err(spawn_failed)?? } else { prepare()? };
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
+    let alignment = SharedAlignment::new(loops::alignment_before(plan)?);
+    let n_loops = Arc::new(AtomicU64::new(0));
+    let closing = loops::prepare(plan, &usage, &alignment, &n_loops)?;
+    let (loop_link, loop_work) = closing.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let settings = InputSettings {
         service: service.to_owned(),
         format: plan.service_format(),
@@ -79,10 +84,19 @@ pub fn supervise(
     let input = FrameInput::open(&settings).map_err(|e| RunError::Input(e.to_string()))?;
     check_slots(&settings, input.slots())?;
     let (odometry, poses) = queue::queue(odometry::CAPACITY);
-    let tracking =
-        TrackingThread { plan, tracker, matchers, mapper: mapper_link, records, odometry, usage: &usage, stop: &stop };
+    let tracking = TrackingThread {
+        plan,
+        tracker,
+        matchers,
+        mapper: mapper_link,
+        loops: loop_link,
+        records,
+        odometry,
+        usage: &usage,
+        stop: &stop,
+    };
 
-    let (mut told, tracked, mapped) = std::thread::scope(|scope| {
+    let (mut told, tracked, mapped, closed) = std::thread::scope(|scope| {
         let _ending = StopWhenDropped(&stop);
         let tracking = thread("tracking").spawn_scoped(scope, move || tracking.run(input)).map_err(spawn_failed)?;
         let mapping = mapping_work
@@ -96,27 +110,51 @@ pub fn supervise(
             })
             .transpose()
             .map_err(spawn_failed)?;
+        let closing = loop_work
+            .map(|work| {
+                thread("loops").spawn_scoped(scope, || {
+                    if plan.is_live() {
+                        step_behind();
+                    }
+                    work.run()
+                })
+            })
+            .transpose()
+            .map_err(spawn_failed)?;
         let publishing = thread("odometry")
-            .spawn_scoped(scope, move || odometry::publish(&poses, &plan.map_from_odometry()))
+            .spawn_scoped(scope, || odometry::publish(&{ poses }, plan, &alignment))
             .map_err(spawn_failed)?;
         let child = start_camera().map_err(|e| RunError::Input(e.to_string()))?;
         let is_interrupted = is_interrupted.as_ref();
-        let shared = Shared { plan, service, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
+        let (usage, progress, n_loops) = (&usage, &progress, &n_loops);
+        let shared = Shared { plan, service, stop: &stop, is_interrupted, usage, progress, n_loops, started };
         let told = Supervisor::new(&shared, folder, child)?.run(&incoming);
         if told.failure.is_some() {
             stop.store(true, Ordering::Relaxed);
         }
         drop(incoming);
         let tracked = join(tracking, "tracking").and(join(publishing, "odometry"));
-        Ok::<_, RunError>((told, tracked, mapping.map(|thread| join(thread, "mapping"))))
+        let closed = closing.map(|thread| join(thread, "loops")).transpose();
+        Ok::<_, RunError>((told, tracked, mapping.map(|thread| join(thread, "mapping")), closed))
     })?;
     let (mapping, mapping_failure) = match mapped.transpose() {
         Ok(mapping) => (mapping, None),
         Err(failure) => (None, Some(failure)),
     };
     // What failed first made the others fail.
-    told.failure = told.failure.take().or(mapping_failure).or(tracked.err());
-    finish::conclude(plan, &usage, Concluded { told, mapping, started })
+    let (loops, loops_failure) = match closed {
+        Ok(summary) => (summary.unwrap_or_default(), None),
+        Err(failure) => (LoopSummary::default(), Some(failure)),
+    };
+    told.failure = told.failure.take().or(mapping_failure).or(tracked.err()).or(loops_failure);
+    let first_keyframe_id = plan.first_keyframe_id();
+    {
+        let alignment = alignment.lock();
+        if !alignment.is_empty() {
+            told.folder.align(|ordinal| alignment.at(first_keyframe_id + ordinal))?;
+        }
+    }
+    finish::conclude(plan, &usage, Concluded { told, mapping, loops, started })
 }
 
 /// The budget holds what it says: a service that is there already has the slots that its maker gave it.
@@ -173,6 +211,7 @@ struct Shared<'run> {
     is_interrupted: &'run AtomicBool,
     usage: &'run Usage,
     progress: &'run MappingProgress,
+    n_loops: &'run AtomicU64,
     started: Instant,
 }
 
@@ -189,6 +228,7 @@ struct Supervisor<'run> {
     bar: ProgressBar,
     usage: &'run Usage,
     progress: &'run MappingProgress,
+    n_loops: &'run AtomicU64,
     started: Instant,
     next_index: u64,
     n_refused: u64,
@@ -199,7 +239,7 @@ struct Supervisor<'run> {
 
 impl<'run> Supervisor<'run> {
     fn new(shared: &Shared<'run>, folder: OutputFolder, child: Option<CameraChild>) -> Result<Self, RunError> {
-        let Shared { plan, service, stop, is_interrupted, usage, progress, started } = *shared;
+        let Shared { plan, service, stop, is_interrupted, usage, progress, n_loops, started } = *shared;
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
@@ -219,6 +259,7 @@ impl<'run> Supervisor<'run> {
             bar,
             usage,
             progress,
+            n_loops,
             started,
             next_index: 0,
             n_refused: 0,
@@ -317,6 +358,7 @@ impl<'run> Supervisor<'run> {
             frames_missing: counts.dropped,
             sealed_allocations: seal::report().sealed_allocations,
             refusals: self.usage.refused_in_all(),
+            loops: self.n_loops.load(Ordering::Relaxed),
             anchors_resident: progress.anchors_resident.load(Ordering::Relaxed),
             tracking_p50_ms: percentile(tracking_ms.p50),
             tracking_p95_ms: percentile(tracking_ms.p95),

@@ -2,6 +2,7 @@
 
 use super::camera_image::CameraImage;
 use super::given_poses::GivenPoses;
+use super::loops::LoopLink;
 use super::mapper_link::MapperLink;
 use super::matchers::Matchers;
 use super::plan::RunPlan;
@@ -34,6 +35,8 @@ pub struct TrackingThread<'run> {
     pub matchers: Matchers,
     /// Where keyframes go.
     pub mapper: Option<MapperLink>,
+    /// Where keyframes go to be recognized.
+    pub loops: Option<LoopLink>,
     /// Where records go.
     pub records: Sender<Record>,
     /// Where poses go to be published.
@@ -135,7 +138,12 @@ impl TrackingThread<'_> {
         state.n_keyframes += u32::from(report.is_tracked_keyframe());
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);
+        let seen = report.is_tracked_keyframe().then_some(self.loops.as_mut()).flatten();
+        seen.into_iter().for_each(LoopLink::settle);
         self.hand_to_mapper(&image, &gray, &report, state, &mut times);
+        if let Some(loops) = self.loops.as_mut().filter(|_| report.is_tracked_keyframe()) {
+            loops.keyframe(&gray, &report, self.tracker.keyframe_points());
+        }
         self.tell(Record::Frame { report, times });
     }
 

@@ -5,6 +5,7 @@
 use crate::inference::Role;
 use crate::mapping::MapperSettings;
 use crate::refine::LifecycleSettings;
+use kilogs_core::loop_closure::{AlignmentLimits, LoopSettings, OdometryNoise};
 use kilogs_core::scale::ScaleSource;
 use kilogs_core::tracking::TrackingSettings as TrackerSettings;
 use std::path::PathBuf;
@@ -52,8 +53,16 @@ pub struct MappingSettings {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LoopClosureSettings {
-    /// Looks for them and corrects the trajectory.
+    /// Looks for them and corrects the map and the trajectory.
     pub enabled: bool,
+    /// Vocabulary file; where it is empty, the usual places are searched.
+    pub vocabulary: PathBuf,
+    /// What is believed.
+    pub closer: LoopSettings,
+    /// What odometry loses on its way.
+    pub noise: OdometryNoise,
+    /// How fast the published `map_from_odometry` follows the map.
+    pub alignment: AlignmentLimits,
 }
 
 /// Trained networks.
@@ -101,7 +110,13 @@ impl Settings {
             },
             mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
             lifecycle: LifecycleSettings::MEASURED,
-            loop_closure: LoopClosureSettings { enabled: false },
+            loop_closure: LoopClosureSettings {
+                enabled: false,
+                vocabulary: PathBuf::new(),
+                closer: LoopSettings::STANDARD,
+                noise: OdometryNoise::STANDARD,
+                alignment: AlignmentLimits::STANDARD,
+            },
             inference: InferenceSettings {
                 models: PathBuf::new(),
                 max_width_px: 1248,

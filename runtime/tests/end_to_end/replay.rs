@@ -11,8 +11,15 @@ use std::path::Path;
 const SCALE_TOLERANCE: f64 = 0.10;
 
 /// Rows whose bytes stand in another row, or cannot be told from the rest of the process.
-const NOT_OBSERVED: [&str; 6] = [
+const NOT_OBSERVED: [&str; 12] = [
     "map.gaussians_per_anchor",
+    // No memory while loops are not closed.
+    "pipeline.loop_queue",
+    "loops.places",
+    "loops.points",
+    "loops.keyframes",
+    "loops.graph_nodes",
+    "loops.workspaces",
     // No memory while no step looks at depth.
     "map.keyframe_depths",
     // No memory without trained networks.

@@ -9,7 +9,7 @@ use kilogs_core::conventions::{Rigid, Similarity};
 use kilogs_core::features::{Feature, FeatureMatch, Nearest, SimdLevel};
 use kilogs_core::loop_closure::{
     AlignmentLimits, JudgedCandidate, KeptPlace, KeyframePacket, LoopCapacities, LoopCloser, LoopDecision,
-    LoopSettings, LoopStorage, MapAlignment, OdometryNoise,
+    LoopSettings, LoopStorage, MapAlignment, OdometryNoise, PointsInMemory,
 };
 use kilogs_core::places::{
     LoopScratch, PlaceSlot, PlaceStorage, PlaceView, PointDepth, Posting, Tally, Vocabulary, WORDS_PER_PLACE,
@@ -60,7 +60,7 @@ pub(crate) fn run(args: &CloseArgs) -> Result<(), PlacesError> {
     let bytes =
         std::fs::read(path).map_err(|source| PlacesError::File { what: "reading", path: path.clone(), source })?;
     let vocabulary =
-        Vocabulary::open(&bytes).map_err(|problem| PlacesError::Vocabulary { path: path.clone(), problem })?;
+        Vocabulary::open(bytes.leak()).map_err(|problem| PlacesError::Vocabulary { path: path.clone(), problem })?;
     let (places, features, points) = (args.places, args.features, args.points);
     let capacities = LoopCapacities { places, words: vocabulary.n_words(), features, points, graph: GRAPH };
     println!(
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &CloseArgs) -> Result<(), PlacesError> {
         args.folder.display(),
         tracked.frames.len(),
         tracked.keyframes.len(),
-        capacities.bytes() as f64 * 1e-6
+        (capacities.bytes() + PointsInMemory::bytes(places, points)) as f64 * 1e-6
     );
     let mut corrected = Vec::new();
     with_storage(&capacities, |storage| {
@@ -90,7 +90,7 @@ pub(crate) fn run(args: &CloseArgs) -> Result<(), PlacesError> {
 /// Feeds the closer keyframe by keyframe, and prints what it decided.
 fn drive(closer: &mut LoopCloser<'_>, tracked: &Tracked, truth: &[Rigid]) -> Result<(), PlacesError> {
     let mut counts = BTreeMap::<String, u32>::new();
-    let mut alignment = MapAlignment::new(AlignmentLimits::STANDARD);
+    let mut alignment = MapAlignment::new(Similarity::identity(), AlignmentLimits::STANDARD);
     let mut frames = tracked.frames.iter().peekable();
     for (i, keyframe) in tracked.keyframes.iter().enumerate() {
         let before = i.checked_sub(1).map_or(keyframe, |before| &tracked.keyframes[before]);
@@ -184,8 +184,12 @@ fn with_storage<T>(capacities: &LoopCapacities, then: impl FnOnce(LoopStorage<'_
             first_of_word: &mut vec![0; words],
         },
         kept: &mut vec![KeptPlace::default(); places],
-        point_features: &mut vec![Feature::NONE; places * points],
-        point_depths: &mut vec![PointDepth::default(); places * points],
+        points: &mut PointsInMemory {
+            features: &mut vec![Feature::NONE; places * points],
+            depths: &mut vec![PointDepth::default(); places * points],
+            n_points: &mut vec![0; places],
+            points_per_place: points,
+        },
         tally: &mut vec![Tally::default(); features],
         scratch: LoopScratch {
             nearest: &mut vec![Nearest::NONE; 2 * points],

@@ -1,0 +1,38 @@
+//! Loops are closed on a thread of its own, while tracking and mapping go on.
+//!
+//! ```text
+//! tracking --image, points of a keyframe--> loops: words, recognition, verification, pose graph
+//!                                             |
+//!                 SharedAlignment <-----------+--> map/alignment.kgs      (both only when a loop is closed)
+//! ```
+//!
+//! In lock-step a keyframe is through before the next one reaches the mapper. Live, one that finds no room is left out.
+
+mod link;
+mod memory;
+mod points_file;
+mod vocabulary;
+mod work;
+
+pub use link::LoopLink;
+pub use memory::{BYTES_PER_KEYFRAME, BYTES_PER_PLACE, bytes_per_job, workspace_bytes};
+pub(super) use work::{LoopSummary, alignment_before, prepare};
+
+use crate::map_store::Alignment;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// How loops have moved the keyframes of the map, for whoever looks: ids are those of the map.
+#[derive(Debug, Clone, Default)]
+pub struct SharedAlignment(Arc<Mutex<Alignment>>);
+
+impl SharedAlignment {
+    /// Shares `alignment`.
+    pub fn new(alignment: Alignment) -> Self {
+        Self(Arc::new(Mutex::new(alignment)))
+    }
+
+    /// The newest alignment; whoever changes it does so in one go.
+    pub fn lock(&self) -> MutexGuard<'_, Alignment> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

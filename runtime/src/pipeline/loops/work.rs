@@ -1,0 +1,262 @@
+//! The loop-closing thread: recognizes places, and moves the map when one is seen again.
+
+use super::SharedAlignment;
+use super::link::{Job, LoopEnd, LoopLink};
+use super::points_file::PointsFile;
+use super::{memory, vocabulary};
+use crate::budget::{Row, Usage};
+use crate::map_store::Alignment;
+use crate::pipeline::matchers::kept;
+use crate::pipeline::plan::RunPlan;
+use crate::pipeline::resume::Resume;
+use crate::run_error::RunError;
+use kilogs_core::conventions::Similarity;
+use kilogs_core::features::descriptors::{extract, half_step_bytes};
+use kilogs_core::features::{Corner, ExtractScratch, ExtractSettings, Feature, SimdLevel};
+use kilogs_core::frame::{ImageView, Pyramid, pyramid};
+use kilogs_core::loop_closure::{
+    JudgedCandidate, KeyframePacket, LoopCapacities, LoopCloser, LoopDecision, OdometryNoise,
+};
+use kilogs_core::places::{PlaceView, PointDepth, describe_points};
+use kilogs_core::pose_graph::Place;
+use kilogs_core::tracking::{FrameReport, PYRAMID_LEVELS};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The loop closer's end, and everything it owns.
+pub struct LoopWork {
+    closer: LoopCloser<'static>,
+    eye: Eye,
+    jobs: LoopEnd,
+    noise: OdometryNoise,
+    /// Every keyframe that was looked at, where odometry put it.
+    places: Vec<Place>,
+    alignment: SharedAlignment,
+    /// Where the alignment is written; none without a map.
+    map: Option<PathBuf>,
+    resume: Option<Resume>,
+    usage: Arc<Usage>,
+    n_loops: Arc<AtomicU64>,
+    n_refused: u64,
+}
+
+/// What closing loops did.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LoopSummary {
+    /// Loops that were closed.
+    pub n_loops: u64,
+}
+
+/// Takes all memory of closing loops; `None` when that is switched off or there is no vocabulary.
+///
+/// # Errors
+/// [`RunError`] when a file cannot be made, or the storage does not fit, a defect of this function.
+pub fn prepare(
+    plan: &RunPlan,
+    usage: &Arc<Usage>,
+    alignment: &SharedAlignment,
+    n_loops: &Arc<AtomicU64>,
+) -> Result<Option<(LoopLink, LoopWork)>, RunError> {
+    let settings = &plan.settings.loop_closure;
+    // Given poses are where they are.
+    if !settings.enabled || plan.given_poses.is_some() {
+        return Ok(None);
+    }
+    let vocabulary = match vocabulary::find(&settings.vocabulary) {
+        Ok(vocabulary) => vocabulary,
+        Err(problem) => {
+            log::warn!("closing loops: {problem}; the drive goes on without");
+            return Ok(None);
+        }
+    };
+    let n_points = plan.budget.capacity(Row::LoopsPoints);
+    let capacities = LoopCapacities {
+        places: plan.budget.capacity(Row::LoopsPlaces),
+        words: vocabulary.n_words(),
+        features: n_points,
+        points: n_points,
+        graph: plan.budget.loop_graph(),
+    };
+    let points = PointsFile::create(&plan.out, n_points).map_err(|e| {
+        RunError::Run(format!("making a file for the points of keyframes in {}: {e}", plan.out.display()))
+    })?;
+    let storage = memory::storage(&capacities, points);
+    let closer = LoopCloser::new(SimdLevel::new(), plan.camera, vocabulary, settings.closer, &capacities, storage)
+        .map_err(|e| RunError::Run(format!("setting up the loop closer: {e}")))?;
+    let (link, jobs) = LoopLink::new(plan, usage);
+    let work = LoopWork {
+        closer,
+        eye: Eye::new(plan, n_points),
+        jobs,
+        noise: settings.noise,
+        places: Vec::with_capacity(plan.budget.capacity(Row::LoopsKeyframes)),
+        alignment: alignment.clone(),
+        map: plan.settings.mapping.enabled.then(|| plan.map_folder()),
+        resume: plan.resume.clone(),
+        usage: Arc::clone(usage),
+        n_loops: Arc::clone(n_loops),
+        n_refused: 0,
+    };
+    Ok(Some((link, work)))
+}
+
+impl LoopWork {
+    /// Looks at keyframes until no more come.
+    ///
+    /// # Errors
+    /// [`RunError::Store`] when the map could not be moved on disk.
+    pub fn run(mut self) -> Result<LoopSummary, RunError> {
+        while let Some(job) = self.jobs.0.pop() {
+            if let Some(report) = job.report {
+                let report = self.resume.as_ref().map_or(report, |resume| resume.in_map(&report));
+                self.keyframe(&job, &report)?;
+            }
+            // The tracking thread is gone only when the run ends: nobody misses the job then.
+            let _ = self.jobs.1.push(job);
+        }
+        if self.n_refused > 0 {
+            log::warn!("closing loops: {} keyframes were not looked at, because [loops.*] is full", self.n_refused);
+        }
+        Ok(LoopSummary { n_loops: self.n_loops.load(Ordering::Relaxed) })
+    }
+
+    fn keyframe(&mut self, job: &Job, report: &FrameReport) -> Result<(), RunError> {
+        if self.places.len() == self.places.capacity() {
+            self.refuse(Row::LoopsKeyframes);
+            return Ok(());
+        }
+        let Some((features, points)) = self.eye.look(job) else { return Ok(()) };
+        let odometry_from_camera = report.world_from_camera;
+        let odometry_from_keyframe = Similarity::from_isometry(odometry_from_camera, 1.0);
+        let place = Place { keyframe_id: report.keyframe_ordinal, odometry_from_keyframe };
+        let before = self.places.last().unwrap_or(&place).odometry_from_keyframe.isometry;
+        let step_m = (before.inverse() * odometry_from_camera).translation.vector.norm();
+        let packet = KeyframePacket {
+            ordinal: report.keyframe_ordinal,
+            odometry_from_camera,
+            information: self.noise.information(step_m),
+            features,
+            points,
+        };
+        let outcome = match self.closer.observe(&packet) {
+            Ok(outcome) => outcome,
+            Err(problem) => {
+                log::debug!("keyframe {} is no node of the pose graph: {problem}", report.keyframe_ordinal);
+                self.refuse(Row::LoopsGraphNodes);
+                return Ok(());
+            }
+        };
+        self.places.push(place);
+        for (row, n) in [
+            (Row::LoopsPlaces, self.closer.n_places()),
+            (Row::LoopsKeyframes, self.places.len()),
+            (Row::LoopsGraphNodes, self.closer.n_nodes()),
+            (Row::LoopsWorkspaces, 1),
+        ] {
+            self.usage.observe(row, n);
+        }
+        for judged in &outcome.candidates {
+            tell(report, judged);
+        }
+        if outcome.optimized.is_some() {
+            self.n_loops.fetch_add(1, Ordering::Relaxed);
+            self.align()?;
+        }
+        Ok(())
+    }
+
+    fn refuse(&mut self, row: Row) {
+        self.n_refused += 1;
+        self.usage.refuse(row, 1);
+    }
+
+    /// Says where all keyframes are by now; what is on disk follows.
+    fn align(&mut self) -> Result<(), RunError> {
+        let moved = |place: &Place| {
+            let world_from_keyframe = self.closer.world_from_keyframe(place)?;
+            Some((place.keyframe_id, world_from_keyframe * place.odometry_from_keyframe.inverse()))
+        };
+        let mut alignment = self.alignment.lock();
+        alignment.truncate_from(self.places.first().map_or(0, |first| first.keyframe_id));
+        for (keyframe_id, map_from_unaligned) in self.places.iter().filter_map(moved) {
+            alignment.push(keyframe_id, map_from_unaligned);
+        }
+        let Some(map) = &self.map else { return Ok(()) };
+        // Nobody waits for the disk.
+        let written = alignment.clone();
+        drop(alignment);
+        Ok(written.write(map)?)
+    }
+}
+
+/// The numbers that decided about a candidate.
+fn tell(report: &FrameReport, judged: &JudgedCandidate) {
+    let (id, frame, old) = (report.keyframe_ordinal, report.frame_index, judged.candidate.ordinal);
+    let Some(evidence) = judged.evidence else { return };
+    if judged.decision == LoopDecision::Accepted {
+        log::info!(
+            "loop: keyframe {id} (frame {frame}) sees the place of keyframe {old}: {} inliers, scale {:.4}, residual {:.1}, \
+             cost {:.1} squared sigmas",
+            evidence.n_inliers,
+            evidence.scale,
+            judged.squared_sigmas,
+            judged.added_cost
+        );
+    } else {
+        log::debug!("no loop: keyframe {id} (frame {frame}), keyframe {old}: {:?}, {evidence:?}", judged.decision);
+    }
+}
+
+/// Finds and describes what a keyframe shows.
+struct Eye {
+    simd: SimdLevel,
+    size: [usize; 2],
+    pyramid: &'static mut [u8],
+    half_step: &'static mut [u8],
+    corners: &'static mut [Corner],
+    features: &'static mut [Feature],
+    points: &'static mut [Feature],
+    depths: &'static mut [PointDepth],
+}
+
+impl Eye {
+    fn new(plan: &RunPlan, n_points: usize) -> Self {
+        let size @ [width, height] = [plan.camera.width as usize, plan.camera.height as usize];
+        Self {
+            simd: SimdLevel::new(),
+            size,
+            pyramid: kept(0, pyramid::bytes_needed(width, height, PYRAMID_LEVELS)),
+            half_step: kept(0, half_step_bytes(width, height)),
+            corners: kept(Corner::NONE, n_points.div_ceil(2)),
+            features: kept(Feature::NONE, n_points),
+            points: kept(Feature::NONE, n_points),
+            depths: kept(PointDepth::default(), n_points),
+        }
+    }
+
+    /// The features that become words, and the points by which another view is measured; `None` for an image that is no
+    /// image.
+    fn look(&mut self, job: &Job) -> Option<(&[Feature], PlaceView<'_>)> {
+        let [width, height] = self.size;
+        let image = ImageView::new(&job.gray, width, height, width).ok()?;
+        let mut pyramid = Pyramid::new(self.pyramid, width, height, PYRAMID_LEVELS).ok()?;
+        pyramid.build(image).ok()?;
+        let mut scratch = ExtractScratch { half_step: self.half_step, corners: self.corners };
+        let n = extract(self.simd, &pyramid, &ExtractSettings::STANDARD, &mut scratch, self.features);
+        let n_points = describe_points(self.simd, &pyramid, &job.points, self.points, self.depths);
+        let points = PlaceView { features: &self.points[..n_points], depths: &self.depths[..n_points] };
+        Some((&self.features[..n], points))
+    }
+}
+
+/// What is known of earlier drives in this map before the first keyframe of this one.
+pub fn alignment_before(plan: &RunPlan) -> Result<Alignment, RunError> {
+    let mut alignment = Alignment::with_capacity(plan.budget.capacity(Row::LoopsKeyframes));
+    if let Some(resume) = &plan.resume {
+        // A damaged one was told when the map was opened.
+        let stored = Alignment::read(&resume.map)?.unwrap_or_default();
+        alignment.go_on_after(&stored, resume.first_keyframe_id);
+    }
+    Ok(alignment)
+}
