@@ -21,7 +21,10 @@ pub struct RoadSettings {
     pub standing_grey: f64,
     /// Share of the motion's curvature that the strip follows. Range 0..1.
     pub bend: f64,
-    /// Standard deviation of pitch and of roll of the road against the expected normal, rad. Range 0.001..0.1.
+    /// Standard deviation of pitch and of roll of the road against the expected normal, rad. Range 0.001..0.1. The road ahead
+    /// bends up and down and brakes pitch the body, but its crossfall is the one that the wheels stand on: along the true poses
+    /// of the straight KITTI 01, 04 and 06 the roll varies by 0.003 to 0.005 rad. A loose roll is what vehicles' shadows on
+    /// one side take for a road that falls away there.
     pub normal_sigma_rad: [f64; 2],
     /// Width in pixels that the working level of the pyramid should have at least. Range 300..2000.
     pub working_width_px: usize,

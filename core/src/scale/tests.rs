@@ -208,3 +208,30 @@ fn the_road_wins_the_election() {
     };
     check("a parked car", 1.2, 1.05, KNOWN, parked);
 }
+
+/// The soft shadow of a truck in the next lane rides along on one side of the strip; the road is seen through it.
+#[test]
+fn a_shadow_that_rides_along_rolls_the_road_no_further_than_its_crossfall() {
+    let case = Case { step: forward(1.2, 0.0), too_long: 1.0, pitch_rad: 0.0 };
+    let shade = |pixels: &mut [u8]| {
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            let (column, row) = ((i % 640) as f64, (i / 640) as f64);
+            // Its edges run beside the lane, in a picture that the truck's speed keeps.
+            let wave = libm::sin((column - 320.0 - 0.6 * (row - 110.0)) / 9.0 + row / 7.0);
+            if column > 350.0 && row > 110.0 {
+                *pixel = (f64::from(*pixel) * (0.55 + 0.25 * wave)) as u8;
+            }
+        }
+    };
+    let roll_and_error = |roll_sigma_rad: f64| {
+        let settings = RoadSettings { normal_sigma_rad: [0.01, roll_sigma_rad], ..SETTINGS };
+        let found = measure_with(&settings, KNOWN, &case, |earlier, later| {
+            shade(earlier);
+            shade(later);
+        })
+        .expect("the other side of the road");
+        (found.normal_in_camera.x.abs(), libm::log(found.height_m / MOUNTING.height_m).abs())
+    };
+    let (loose, held) = (roll_and_error(0.01), roll_and_error(0.004));
+    assert!(held.0 < 0.5 * loose.0 && held.1 < 0.02, "{held:?}, loose {loose:?}");
+}

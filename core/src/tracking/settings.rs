@@ -126,7 +126,7 @@ impl TrackingSettings {
             half_width_m: 3.0,
             standing_grey: 2.0,
             bend: 1.0,
-            normal_sigma_rad: [0.01, 0.01],
+            normal_sigma_rad: [0.01, 0.004],
             working_width_px: 600,
             max_iterations: 15,
             min_pixels: 200,
