@@ -20,7 +20,7 @@ use crate::telemetry::MemoryWatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_camera::ipc::HealthMessage;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
@@ -70,8 +70,7 @@ pub fn supervise(
     let mapping = if plan.is_live() { behind(prepare).map_err(spawn_failed)?? } else { prepare()? };
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let alignment = SharedAlignment::new(loops::alignment_before(plan)?);
-    let n_loops = Arc::new(AtomicU64::new(0));
-    let closing = loops::prepare(plan, &usage, &alignment, &n_loops)?;
+    let closing = loops::prepare(plan, &usage, &alignment)?;
     let (loop_link, loop_work) = closing.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let settings = InputSettings {
         service: service.to_owned(),
@@ -126,8 +125,7 @@ pub fn supervise(
             .map_err(spawn_failed)?;
         let child = start_camera().map_err(|e| RunError::Input(e.to_string()))?;
         let is_interrupted = is_interrupted.as_ref();
-        let (usage, progress, n_loops) = (&usage, &progress, &n_loops);
-        let shared = Shared { plan, service, stop: &stop, is_interrupted, usage, progress, n_loops, started };
+        let shared = Shared { plan, service, stop: &stop, is_interrupted, usage: &usage, progress: &progress, started };
         let told = Supervisor::new(&shared, folder, child)?.run(&incoming);
         if told.failure.is_some() {
             stop.store(true, Ordering::Relaxed);
@@ -211,7 +209,6 @@ struct Shared<'run> {
     is_interrupted: &'run AtomicBool,
     usage: &'run Usage,
     progress: &'run MappingProgress,
-    n_loops: &'run AtomicU64,
     started: Instant,
 }
 
@@ -228,7 +225,6 @@ struct Supervisor<'run> {
     bar: ProgressBar,
     usage: &'run Usage,
     progress: &'run MappingProgress,
-    n_loops: &'run AtomicU64,
     started: Instant,
     next_index: u64,
     n_refused: u64,
@@ -239,7 +235,7 @@ struct Supervisor<'run> {
 
 impl<'run> Supervisor<'run> {
     fn new(shared: &Shared<'run>, folder: OutputFolder, child: Option<CameraChild>) -> Result<Self, RunError> {
-        let Shared { plan, service, stop, is_interrupted, usage, progress, n_loops, started } = *shared;
+        let Shared { plan, service, stop, is_interrupted, usage, progress, started } = *shared;
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
@@ -259,7 +255,6 @@ impl<'run> Supervisor<'run> {
             bar,
             usage,
             progress,
-            n_loops,
             started,
             next_index: 0,
             n_refused: 0,
@@ -358,7 +353,6 @@ impl<'run> Supervisor<'run> {
             frames_missing: counts.dropped,
             sealed_allocations: seal::report().sealed_allocations,
             refusals: self.usage.refused_in_all(),
-            loops: self.n_loops.load(Ordering::Relaxed),
             anchors_resident: progress.anchors_resident.load(Ordering::Relaxed),
             tracking_p50_ms: percentile(tracking_ms.p50),
             tracking_p95_ms: percentile(tracking_ms.p95),

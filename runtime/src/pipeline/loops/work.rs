@@ -22,7 +22,6 @@ use kilogs_core::pose_graph::Place;
 use kilogs_core::tracking::{FrameReport, PYRAMID_LEVELS};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The loop closer's end, and everything it owns.
 pub struct LoopWork {
@@ -37,7 +36,7 @@ pub struct LoopWork {
     map: Option<PathBuf>,
     resume: Option<Resume>,
     usage: Arc<Usage>,
-    n_loops: Arc<AtomicU64>,
+    n_loops: u64,
     n_refused: u64,
 }
 
@@ -56,7 +55,6 @@ pub fn prepare(
     plan: &RunPlan,
     usage: &Arc<Usage>,
     alignment: &SharedAlignment,
-    n_loops: &Arc<AtomicU64>,
 ) -> Result<Option<(LoopLink, LoopWork)>, RunError> {
     let settings = &plan.settings.loop_closure;
     // Given poses are where they are.
@@ -95,7 +93,7 @@ pub fn prepare(
         map: plan.settings.mapping.enabled.then(|| plan.map_folder()),
         resume: plan.resume.clone(),
         usage: Arc::clone(usage),
-        n_loops: Arc::clone(n_loops),
+        n_loops: 0,
         n_refused: 0,
     };
     Ok(Some((link, work)))
@@ -118,7 +116,7 @@ impl LoopWork {
         if self.n_refused > 0 {
             log::warn!("closing loops: {} keyframes were not looked at, because [loops.*] is full", self.n_refused);
         }
-        Ok(LoopSummary { n_loops: self.n_loops.load(Ordering::Relaxed) })
+        Ok(LoopSummary { n_loops: self.n_loops })
     }
 
     fn keyframe(&mut self, job: &Job, report: &FrameReport) -> Result<(), RunError> {
@@ -160,7 +158,7 @@ impl LoopWork {
             tell(report, judged);
         }
         if outcome.optimized.is_some() {
-            self.n_loops.fetch_add(1, Ordering::Relaxed);
+            self.n_loops += 1;
             self.align()?;
         }
         Ok(())

@@ -111,7 +111,7 @@ impl Default for OdometryMessage {
 /// How the program is, per second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
-#[type_name("KilogsHealth2")]
+#[type_name("KilogsHealth1")]
 pub struct HealthMessage {
     /// Seconds since the start of the program.
     pub uptime_s: f64,
@@ -147,8 +147,6 @@ pub struct HealthMessage {
     pub refusals: u64,
     /// Anchors in memory.
     pub anchors_resident: u64,
-    /// Loops that were closed.
-    pub loops: u64,
     /// Median tracking time since the start, ms.
     pub tracking_p50_ms: f32,
     /// 95th percentile, ms.
@@ -162,4 +160,4 @@ pub struct HealthMessage {
     /// How often the camera process came back.
     pub camera_restarts: u32,
 }
-const _: () = assert!(size_of::<HealthMessage>() == 17 * 8 + 8 + 6 * 4);
+const _: () = assert!(size_of::<HealthMessage>() == 16 * 8 + 8 + 6 * 4);
