@@ -116,7 +116,7 @@ impl IpcError {
 const ADVICE_DIRECTORIES: &str =
     "check that /dev/shm and /tmp/iceoryx2 can be written and have space (`kilogs doctor` does)";
 const ADVICE_SERVICE: &str =
-    "another program may use the name with other settings: choose another --service or end that program";
+    "a program with other settings, or of another version, uses the name: end it, or give --service where there is one";
 
 /// Joins the communication; clears away what crashed processes left behind. Signals stay with the program.
 ///
