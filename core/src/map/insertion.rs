@@ -29,7 +29,7 @@ impl InsertionSettings {
         sigmas_px: [1.0, 1.6],
         structure_weight: 0.9,
         depth_edge_weight: 0.1,
-        samples_per_pixel: 0.05,
+        samples_per_pixel: 0.01,
         bare_probability: 0.4,
         error_weight: 1.0,
         sigma_per_spacing: 0.5,
@@ -240,47 +240,53 @@ pub struct Sampled {
     pub gain: f32,
 }
 
-/// Draws the pixels that get a Gaussian: `P_kf = max(P - P_rendered, 0)` plus what shows through, thinned to
-/// the maxima of 3x3 neighbourhoods.
+/// Chooses the pixels that get a Gaussian: `P_kf = max(P - P_rendered, 0)` plus what shows through and what is wrong,
+/// thinned to the maxima of 3x3 neighbourhoods, and scaled down to about `most_samples` where it asks for more.
 ///
-/// Samples come out in scan order; those beyond `samples.len()` are refused and counted.
+/// What a pixel asks for beyond what it gets is passed on to its neighbours (error diffusion), so that samples are as
+/// evenly spaced as their density allows. They come out in scan order; those beyond `samples.len()` are refused and
+/// counted.
 ///
 /// # Source
-/// The paper, section 3.3.1; the term for bare pixels and the calibration of the gain are ours.
+/// The paper, section 3.3.1; Floyd & Steinberg 1976 in place of independent draws, the terms for bare and wrong pixels
+/// and the calibration of the gain are ours.
 pub fn sample(
     images: &InsertionImages<'_>,
     settings: &InsertionSettings,
+    most_samples: f32,
     rng: &mut Rng,
     scratch: SamplingScratch<'_>,
     samples: &mut [InsertionSample],
 ) -> Sampled {
-    let SamplingScratch { probability: residual, kept } = scratch;
+    let SamplingScratch { probability: wanted, kept } = scratch;
     // A jitter far below any probability that matters breaks the ties of flat regions evenly.
     const TIE_BREAK: f32 = 1e-4;
-    for (value, &structure) in residual.iter_mut().zip(images.structure) {
+    for (value, &structure) in wanted.iter_mut().zip(images.structure) {
         *value = structure + TIE_BREAK * rng.unit_f32();
     }
-    mark_maxima(residual, images.size, kept);
+    mark_maxima(wanted, images.size, kept);
     let gain = calibrate_gain(images, settings, kept);
-    for (index, value) in residual.iter_mut().enumerate() {
+    let mut demand = 0.0f32;
+    for (index, (value, &kept)) in wanted.iter_mut().zip(&*kept).enumerate() {
         let at = |image: &[f32]| image.get(index).copied().unwrap_or(0.0);
         let seen = probability(settings, gain, at(images.structure), at(images.depth_edges));
         let rendered = probability(settings, gain, at(images.rendered_structure), at(images.rendered_depth_edges));
         let bare = settings.bare_probability * at(images.transmittance);
         let wrong = settings.error_weight * at(images.error);
-        let wanted = ((seen - rendered).max(0.0) + bare + wrong).min(1.0);
-        *value = if at(images.confidence) > 0.0 { wanted } else { 0.0 };
+        let is_candidate = kept != 0 && at(images.confidence) > 0.0;
+        *value = if is_candidate { ((seen - rendered).max(0.0) + bare + wrong).min(1.0) } else { 0.0 };
+        demand += *value;
     }
+    let share = if demand > most_samples { most_samples.max(0.0) / demand } else { 1.0 };
+    wanted.iter_mut().for_each(|value| *value *= share);
     let mut drawn = Sampled { gain, ..Sampled::default() };
     for index in 0..images.size.n_pixels() {
-        let wanted = residual.get(index).copied().unwrap_or(0.0);
-        // The draw is made for every pixel, so that one pixel's probability does not move another's luck.
-        let luck = rng.unit_f32();
-        if kept.get(index).copied().unwrap_or(0) == 0 || luck >= wanted {
+        let is_candidate = kept.get(index).is_some_and(|kept| *kept != 0);
+        if !diffuse(wanted, images, is_candidate, rng, index) {
             continue;
         }
         let (x, y) = (index % images.size.width, index / images.size.width);
-        let sigma_px = covering_sigma_px(images, settings, gain, kept, (x, y));
+        let sigma_px = covering_sigma_px(images, settings, (gain, share), kept, (x, y));
         match samples.get_mut(drawn.n_samples) {
             Some(slot) => {
                 *slot = InsertionSample { x: x as u16, y: y as u16, sigma_px };
@@ -290,6 +296,30 @@ pub fn sample(
         }
     }
     drawn
+}
+
+/// Whether a pixel is chosen; the difference to what it asks for goes to the neighbours that come later and have depth.
+fn diffuse(wanted: &mut [f32], images: &InsertionImages<'_>, is_candidate: bool, rng: &mut Rng, index: usize) -> bool {
+    let MapImageSize { width, height } = images.size;
+    let has_depth = |index: usize| images.confidence.get(index).is_some_and(|sure| *sure > 0.0);
+    // Around one half; a fixed threshold draws lines where little is asked for.
+    let threshold = 0.25 + 0.5 * rng.unit_f32();
+    let asked = wanted.get(index).copied().unwrap_or(0.0);
+    let is_chosen = is_candidate && has_depth(index) && asked >= threshold;
+    let rest = if is_chosen { asked - 1.0 } else { asked };
+    let (x, y) = (index % width, index / width);
+    let neighbours = [(1, 0, 7.0), (-1, 1, 3.0), (0, 1, 5.0), (1, 1, 1.0)].map(|(dx, dy, sixteenths)| {
+        let column = x.checked_add_signed(dx).filter(|&column| column < width && y + dy < height);
+        (column.map(|column| (y + dy) * width + column).filter(|&at| has_depth(at)), sixteenths)
+    });
+    // What a neighbour cannot take goes to the others.
+    let taken: f32 = neighbours.iter().filter(|(at, _)| at.is_some()).map(|(_, sixteenths)| sixteenths).sum();
+    for (at, sixteenths) in neighbours {
+        if let Some(value) = at.and_then(|at| wanted.get_mut(at)) {
+            *value += rest * sixteenths / taken;
+        }
+    }
+    is_chosen
 }
 
 /// Marks the pixels that no pixel of their 3x3 neighbourhood exceeds.
@@ -311,11 +341,12 @@ fn mark_maxima(values: &[f32], size: MapImageSize, kept: &mut [u8]) {
 /// Half side of the window in which the density of samples is counted, px.
 const DENSITY_RADIUS_PX: usize = 6;
 /// `1 / sqrt(density)` times a constant: the density is what the camera image asks for around the pixel, as if
-/// the map were empty, so that a late refinement of a covered surface is as fine as its texture.
+/// the map were empty, so that a late refinement of a covered surface is as fine as its texture, and a bare surface is
+/// covered by the few samples that it gets.
 fn covering_sigma_px(
     images: &InsertionImages<'_>,
     settings: &InsertionSettings,
-    gain: f32,
+    (gain, share): (f32, f32),
     kept: &[u8],
     (x, y): (usize, usize),
 ) -> f32 {
@@ -328,7 +359,9 @@ fn covering_sigma_px(
             if kept.get(index).copied().unwrap_or(0) != 0 {
                 let at = |image: &[f32]| image.get(index).copied().unwrap_or(0.0);
                 let seen = probability(settings, gain, at(images.structure), at(images.depth_edges));
-                expected += (seen + settings.bare_probability).min(1.0);
+                // What is bare gets that share of what it asks for; what is covered already is as dense as it asks for.
+                let granted = 1.0 - at(images.transmittance) * (1.0 - share);
+                expected += (seen + settings.bare_probability).min(1.0) * granted;
             }
         }
     }

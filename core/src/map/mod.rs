@@ -7,6 +7,7 @@ pub mod insertion;
 pub mod lod;
 pub mod numbers;
 pub mod pool;
+pub mod quota;
 pub mod spawn;
 pub mod voxel;
 

@@ -192,6 +192,8 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.page_distance_m", Range::closed(10.0, 10000.0), mapping.mapper.page_distance_m),
     number!("mapping.min_opacity", Range::closed(0.0, 1.0), mapping.mapper.min_opacity),
     number!("mapping.max_width_ratio", Range::open_closed(0.0, 1.0), mapping.mapper.max_width_ratio),
+    number!("mapping.gaussians_per_m", Range::closed(1.0, 1000000.0), mapping.mapper.gaussians_per_m),
+    number!("mapping.first_view_m", Range::closed(0.0, 1000.0), mapping.mapper.first_view_m),
     number!("mapping.insertion_structure_weight", Range::closed(0.0, 1.0), mapping.mapper.insertion.structure_weight),
     number!("mapping.insertion_depth_edge_weight", Range::closed(0.0, 1.0), mapping.mapper.insertion.depth_edge_weight),
     number!(

@@ -70,7 +70,8 @@ fn train(
     usage: &Usage,
     on_progress: &mut dyn FnMut(f64, &ProgressBar) -> bool,
 ) -> Result<MappingSummary, RunError> {
-    let mapper = pipeline::mapper(plan)?;
+    let mut mapper = pipeline::mapper(plan)?;
+    mapper.lift_quota();
     let store =
         MapStoreWriter::create(&plan.out.join("map"), &pipeline::manifest(plan), &pipeline::store_settings(plan))?;
     let bar = ProgressBar::new(BAR_TICKS).with_style(progress_style());

@@ -6,6 +6,7 @@ use super::sink::PageSink;
 use crate::splat::{RenderStats, StepReport, StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
+use kilogs_core::map::quota::GaussianQuota;
 
 /// A view with its picture.
 #[derive(Debug, Clone, Copy)]
@@ -35,6 +36,11 @@ impl Mapper {
         self.list_load.add(&report.stats);
         self.counters.iterations += u64::from(!report.stats.refused);
         report
+    }
+
+    /// Inserts all that pictures ask for: given views are no route.
+    pub fn lift_quota(&mut self) {
+        self.quota = GaussianQuota::unlimited();
     }
 
     /// Looks at a keyframe's image again without inserting from it: what is revisited next compares itself with it.

@@ -55,8 +55,10 @@ impl Mapper {
             confidence: &scratch.confidence,
         };
         let memory = SamplingScratch { probability: &mut scratch.probability, kept: &mut scratch.kept };
-        let drawn = sample(&images, &self.settings.insertion, &mut rng, memory, &mut scratch.samples);
+        let most_samples = self.quota.available() as f32;
+        let drawn = sample(&images, &self.settings.insertion, most_samples, &mut rng, memory, &mut scratch.samples);
         let mut report = self.spawn_samples(age, drawn.n_samples);
+        self.quota.spend(report.n_gaussians);
         report.n_samples = drawn.n_samples as u32;
         // The list of samples is as long as new anchors have Gaussians.
         report.refused.new_anchors += drawn.n_refused as u32;

@@ -18,6 +18,7 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
 use kilogs_core::map::insertion::MapImageSize;
 use kilogs_core::map::pool::{AnchorPool, AnchorSlot};
+use kilogs_core::map::quota::{GaussianQuota, RouteMeasure};
 use kilogs_core::map::voxel::{VoxelCell, VoxelGrid};
 use kilogs_core::tracking::{KeyframePoint, RoadPlane};
 use std::ops::Add;
@@ -165,6 +166,7 @@ pub struct Mapper {
     /// The Gaussians of an anchor on its way back.
     pub(super) returning: Box<[GaussianParams]>,
     pub(super) background: Box<[[f32; 3]]>,
+    pub(super) quota: GaussianQuota,
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
     pub(super) counters: MapCounters,
@@ -198,6 +200,7 @@ impl Mapper {
             paging: Paging::new(&capacity, &camera),
             returning: vec![NO_GAUSSIAN; capacity.gaussians_per_anchor].into(),
             background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
+            quota: GaussianQuota::new(settings.gaussians_per_m, RouteMeasure::new(settings.first_view_m, native)),
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             counters: MapCounters::default(),
@@ -227,6 +230,7 @@ impl Mapper {
         if !self.admit_keyframe(packet.ordinal, &packet.world_from_camera) {
             return Err(PacketRefused::RowInUse { frame_index });
         }
+        self.quota.arrive(&packet.world_from_camera);
         self.begin_exposure();
         self.begin_decoder(packet.ordinal);
         self.prune_after_window();

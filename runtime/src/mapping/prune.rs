@@ -40,6 +40,7 @@ impl Mapper {
             let residual = self.decoders.residual_at_spawn(&headers[nth], &features[nth]);
             let before = headers[nth].n_gaussians;
             let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], residual, limits);
+            self.quota.give_back(f64::from(before - after));
             if after == before && after > 0 {
                 continue;
             }

@@ -50,6 +50,10 @@ pub struct MapperSettings {
     pub resolution: f64,
     /// Training images are at least this wide, or as wide as the camera's, px: a small camera has no detail to spare.
     pub min_width_px: u32,
+    /// Gaussians that a drive adds per metre of route, above 0.
+    pub gaussians_per_m: f64,
+    /// Metres of route that a view is worth which shows nothing seen before, at least 0.
+    pub first_view_m: f64,
     /// Where Gaussians are inserted.
     pub insertion: InsertionSettings,
     /// First values of a Gaussian.
@@ -101,6 +105,8 @@ impl MapperSettings {
             seed,
             resolution,
             min_width_px: 600,
+            gaussians_per_m: 230.0,
+            first_view_m: 20.0,
             insertion: InsertionSettings::MEASURED,
             spawn: SpawnSettings::MEASURED,
             stereo: StereoSettings::MEASURED,

@@ -165,7 +165,7 @@ fn a_street_is_inserted_trained_and_handed_over_completely() {
     let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
     let reports = drive(&mut mapper, 24, &mut sink);
     let (first, last) = (&reports[1].1, &reports[23].1);
-    assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db + 2.0, "{first:?} then {last:?}");
+    assert!(last.mean_psnr_db > 15.0 && last.mean_psnr_db > first.mean_psnr_db + 1.0, "{first:?} then {last:?}");
     assert!(reports[23].0.n_gaussians < reports[1].0.n_gaussians, "a known street asks for less");
     let counters = mapper.counters();
     let labels: Vec<PageLabel> = sink.pages.iter().map(|page| decode_page(page).expect("a whole page").0).collect();

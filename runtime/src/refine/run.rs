@@ -13,6 +13,7 @@ use crate::pipeline::{self, RunPlan};
 use crate::render_views::judge_map;
 use crate::run_error::RunError;
 use indicatif::{ProgressBar, ProgressStyle};
+use kilogs_core::map::quota::RouteMeasure;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -81,6 +82,7 @@ pub(super) fn train(
         step: mapper.step,
         lifecycle: plan.settings.lifecycle,
         limits: PruneLimits::of(mapper, &mapping_camera(&plan.camera, mapper.resolution)),
+        measure: RouteMeasure::new(mapper.first_view_m, &plan.camera),
         coarse_resolution: mapper.resolution,
         learned_exposure: mapper.learned_exposure,
         clock: Clock::start(effort),

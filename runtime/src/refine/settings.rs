@@ -17,7 +17,7 @@ pub struct LifecycleSettings {
     pub error_threshold: f32,
     /// Views of a stretch that scores are taken from.
     pub views: usize,
-    /// Gaussians per metre of route that stay; those that contribute least end.
+    /// Gaussians per metre of route that stay, turns counted by the mapper's measure; those that contribute least end.
     pub max_gaussians_per_m: f64,
 }
 
@@ -40,6 +40,6 @@ impl LifecycleSettings {
         prune_score: 0.99,
         error_threshold: 0.1,
         views: 10,
-        max_gaussians_per_m: 280.0,
+        max_gaussians_per_m: 260.0,
     };
 }

@@ -2,13 +2,14 @@
 
 use crate::map_store::{MapStoreEditor, MapStoreReader, StoreError};
 use crate::mapping::{NO_GAUSSIAN, NO_HEADER};
-use crate::render_views::{CountedPage, Residency, Room, Standpoint, Wanted, pick_pages};
+use crate::render_views::{CountedPage, Residency, Room, Standpoint, Wanted, map_from_camera, pick_pages};
 use crate::splat::{
     AnchorFeature, AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_TEXELS, DecoderShape, GaussianParams, SplatBackend,
 };
 use kilogs_core::map::decoder::{NO_FEATURE, residual_at_spawn};
 use kilogs_core::map::lod::N_LEVELS;
-use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, PageLabel, StoredAnchor};
+use kilogs_core::map::quota::RouteMeasure;
+use kilogs_core::store::{ChunkBackground, ChunkLabel, DecoderParams, PageLabel, StoredAnchor, StoredKeyframe};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::{Range, RangeInclusive};
@@ -133,14 +134,17 @@ impl<'a> StretchMemory<'a> {
         own.flat_map(|(_, levels)| levels.iter().flatten().copied()).collect()
     }
 
-    /// Metres of route along which the anchors of those pages were spawned: to the next keyframe each.
-    pub(super) fn own_length_m(&self, keyframe_ids: &RangeInclusive<u32>) -> f64 {
+    /// Metres of route along which the anchors of those pages were spawned: to the next keyframe each, and the first view.
+    pub(super) fn own_length_m(&self, keyframe_ids: &RangeInclusive<u32>, measure: &RouteMeasure) -> f64 {
         let own = self.residency.whole_pages().filter(|(label, _)| keyframe_ids.contains(&label.first_keyframe_id));
         let own: Vec<RangeInclusive<u32>> =
             own.map(|(label, _)| label.first_keyframe_id..=label.last_keyframe_id).collect();
-        let steps = self.map.keyframes().windows(2);
-        let own_steps = steps.filter(|step| own.iter().any(|ids| ids.contains(&step[0].keyframe_id)));
-        own_steps.map(|step| (Vector3::from(step[1].translation_m) - Vector3::from(step[0].translation_m)).norm()).sum()
+        let is_own = |keyframe: &StoredKeyframe| own.iter().any(|ids| ids.contains(&keyframe.keyframe_id));
+        let keyframes = self.map.keyframes();
+        let own_steps = keyframes.windows(2).filter(|step| is_own(&step[0]));
+        let way_m: f64 =
+            own_steps.map(|step| measure.step_m(&map_from_camera(&step[0]), &map_from_camera(&step[1]))).sum();
+        if keyframes.first().is_some_and(is_own) { way_m + measure.first_view_m } else { way_m }
     }
 
     /// What the backend holds in some slots.

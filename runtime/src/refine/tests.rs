@@ -255,9 +255,9 @@ fn gaussians_after(setting: &str) -> u32 {
 
 #[test]
 fn a_route_keeps_as_many_gaussians_as_its_length_allows() {
-    // Of few, some grow until they are oversized.
-    let [few, more] = ["1", "5.5"].map(|per_m| gaussians_after(&format!("lifecycle.max_gaussians_per_m={per_m}")));
-    assert!((1..=11).contains(&few) && (12..=61).contains(&more), "{few} and {more}");
+    // 11 m, and 20 m that the first view is worth.
+    let [few, more] = ["1", "2.5"].map(|per_m| gaussians_after(&format!("lifecycle.max_gaussians_per_m={per_m}")));
+    assert!((1..=31).contains(&few) && (32..=78).contains(&more), "{few} and {more}");
 }
 
 #[test]

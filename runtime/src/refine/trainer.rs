@@ -10,6 +10,7 @@ use crate::map_store::{MapStoreReader, StoreError};
 use crate::mapping::PruneLimits;
 use crate::render_views::map_from_camera;
 use crate::splat::{Exposure, StepSettings, TargetImage, TrainingView, View};
+use kilogs_core::map::quota::RouteMeasure;
 use kilogs_core::math::Rng;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -25,6 +26,7 @@ pub(super) struct Trainer<'a> {
     pub(super) step: StepSettings,
     pub(super) lifecycle: LifecycleSettings,
     pub(super) limits: PruneLimits,
+    pub(super) measure: RouteMeasure,
     /// Resolution of the first steps, and of the views that scores come from.
     pub(super) coarse_resolution: f64,
     pub(super) learned_exposure: bool,
@@ -126,7 +128,7 @@ impl Trainer<'_> {
         let own = &self.map.keyframes()[part.keyframes.clone()];
         let (Some(first), Some(last)) = (own.first(), own.last()) else { return };
         let keyframe_ids = first.keyframe_id..=last.keyframe_id;
-        let length_m = self.memory.own_length_m(&keyframe_ids);
+        let length_m = self.memory.own_length_m(&keyframe_ids, &self.measure);
         let most_gaussians = (self.lifecycle.max_gaussians_per_m * length_m).ceil() as u64;
         let mut renewal = Renewal::new(&mut self.memory);
         let n_views = self.lifecycle.views.min(own.len());

@@ -22,6 +22,15 @@ fn structure(luma: &[f32]) -> Vec<f32> {
 }
 
 fn drawn(seen: &[f32], rendered: &[f32], transmittance: f32, confidence: &[f32]) -> Vec<InsertionSample> {
+    drawn_within(f32::INFINITY, (seen, rendered), transmittance, confidence)
+}
+
+fn drawn_within(
+    most_samples: f32,
+    (seen, rendered): (&[f32], &[f32]),
+    transmittance: f32,
+    confidence: &[f32],
+) -> Vec<InsertionSample> {
     let n = SIZE.n_pixels();
     let (structure, rendered_structure) = (structure(seen), structure(rendered));
     let images = InsertionImages {
@@ -37,7 +46,7 @@ fn drawn(seen: &[f32], rendered: &[f32], transmittance: f32, confidence: &[f32])
     let mut samples = vec![InsertionSample::default(); n];
     let scratch = SamplingScratch { probability: &mut vec![0.0; n], kept: &mut vec![0; n] };
     let settings = InsertionSettings { bare_probability: 0.2, error_weight: 0.0, ..InsertionSettings::MEASURED };
-    let found = sample(&images, &settings, &mut Rng::new(1, 2, 3), scratch, &mut samples);
+    let found = sample(&images, &settings, most_samples, &mut Rng::new(1, 2, 3), scratch, &mut samples);
     samples.truncate(found.n_samples);
     samples
 }
@@ -71,6 +80,25 @@ fn bare_pixels_are_covered_evenly_and_more_widely_than_texture() {
     let ((n_texture, texture_px), (n_flat, flat_px)) = (mean_sigma(true), mean_sigma(false));
     assert!(n_texture > 5 && n_flat > 20, "{n_texture} and {n_flat} samples");
     assert!(flat_px > 1.2 * texture_px, "{flat_px} px against {texture_px} px");
+}
+
+#[test]
+fn few_samples_are_spread_over_the_picture_and_cover_it_with_wider_gaussians() {
+    let (image, bare, sure) = (square(), vec![0.1; SIZE.n_pixels()], vec![1.0; SIZE.n_pixels()]);
+    let mut last_sigma_px = 0.0;
+    for most in [f32::INFINITY, 24.0, 12.0, 0.0] {
+        let found = drawn_within(most, (&image, &bare), 1.0, &sure);
+        let n_wanted = most.min(45.0);
+        assert!((found.len() as f32) <= 1.15 * most && found.len() as f32 >= 0.6 * n_wanted, "{}: {most}", found.len());
+        if found.is_empty() {
+            continue;
+        }
+        let mean_sigma_px = found.iter().map(|s| s.sigma_px).sum::<f32>() / found.len() as f32;
+        assert!(mean_sigma_px > 1.05 * last_sigma_px, "{mean_sigma_px} px with {most}, {last_sigma_px} px with more");
+        last_sigma_px = mean_sigma_px;
+        let in_left_half = found.iter().filter(|s| s.x < 30).count() as f32 / found.len() as f32;
+        assert!((0.35..=0.75).contains(&in_left_half), "{in_left_half} on the left, with {most}");
+    }
 }
 
 #[test]
