@@ -1,4 +1,4 @@
-//! Metres without a network: the road under the camera is at a known distance.
+//! Metres: the road under the camera is at a known distance, a network knows depths, wheels roll; one filter merges them.
 
 pub mod ground_plane;
 mod scale_filter;
@@ -8,7 +8,7 @@ mod tiles;
 
 pub use ground_plane::{RoadAlignment, RoadPair, RoadProblem, RoadSettings, align_road};
 pub use scale_filter::{ScaleFilter, ScaleFilterSettings, ScaleUpdate};
-pub use sources::{MAX_DEPTHS, ScaleMeasurement, ScaleSource, depth_ratio, wheel_ratio};
+pub use sources::{MAX_DEPTHS, ScaleMeasurement, ScaleSource, ScaleSources, depth_ratio, wheel_ratio};
 
 #[cfg(test)]
 mod tests;

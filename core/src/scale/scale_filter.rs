@@ -25,12 +25,26 @@ pub struct ScaleFilterSettings {
     /// Length of a stretch, m: measurements closer than this share their errors (crown, slope, kerb), so that
     /// several of them weigh no more than one. Range 0..100.
     pub correlation_m: f64,
-    /// Additional standard deviation of the first measurement; the n-th has it divided by n. Range 0..1.
+    /// Additional standard deviation of the first measurement of a camera's source; the n-th has it divided by n. Range 0..1.
     pub early_sigma: f64,
     /// Width of the Cauchy kernel in standard deviations: measurements beyond it lose their weight. Range 1..5.
     pub kernel_sigmas: f64,
     /// Factor beyond which a measurement is no scale at all and is rejected. Range 1.05..10.
     pub max_jump: f64,
+    /// Innovation in standard deviations beyond which a measurement is rejected while another source vouches for the
+    /// scale; one source alone has to be able to correct it. Range 2..10.
+    pub gate_sigmas: f64,
+}
+
+impl ScaleFilterSettings {
+    /// Standard deviation of a source's measurements of one stretch.
+    pub fn sigma_of(&self, source: ScaleSource) -> f64 {
+        match source {
+            ScaleSource::GroundPlane => self.measurement_sigma,
+            ScaleSource::DepthNetwork => self.network_sigma,
+            ScaleSource::WheelSpeed => self.wheel_sigma,
+        }
+    }
 }
 
 /// What became of a measurement.
@@ -46,7 +60,7 @@ pub enum ScaleUpdate {
         /// took over.
         gains: [f64; 2],
     },
-    /// The measurement jumps implausibly.
+    /// The measurement jumps implausibly, or disagrees with what another source vouches for.
     Reject {
         /// Natural logarithm of the measured factor.
         log_ratio: f64,
@@ -61,6 +75,9 @@ pub enum ScaleUpdate {
 /// variance is kept. The drift has a constant part because a monocular odometry's errors do not average out: on
 /// KITTI the scale of landmarks alone grows by about 0.04 % per metre.
 ///
+/// Sources are merged one after the other, each by its variance. Every source has its own stretch, because errors of the
+/// road say nothing about those of the wheels.
+///
 /// # Source
 /// Kalman 1960, in two states; the robust weight is Cauchy's, applied to the innovation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,10 +86,15 @@ pub struct ScaleFilter {
     variance: f64,
     covariance: f64,
     rate_variance: f64,
-    n_measurements: u32,
-    /// Driven since the last accepted measurement, m.
-    unmeasured_m: f64,
+    /// Squared innovations over their variance, averaged over the last stretches.
+    surprise: f64,
+    n_measurements: [u32; ScaleSource::N],
+    /// Driven since the last accepted measurement of each source, m.
+    unmeasured_m: [f64; ScaleSource::N],
 }
+
+/// Share of the average surprise that the newest measurement makes up.
+const NEWEST_SURPRISE: f64 = 0.2;
 
 impl ScaleFilter {
     /// A filter that knows nothing.
@@ -82,9 +104,16 @@ impl ScaleFilter {
             variance: settings.first_sigma * settings.first_sigma,
             covariance: 0.0,
             rate_variance: settings.drift_rate_sigma_per_m * settings.drift_rate_sigma_per_m,
-            n_measurements: 0,
-            unmeasured_m: 0.0,
+            surprise: 1.0,
+            n_measurements: [0; ScaleSource::N],
+            unmeasured_m: [0.0; ScaleSource::N],
         }
+    }
+
+    /// Standard deviation of the logarithm of the scale as far as the measurements bear it out: where they have been off by
+    /// more than they claim, it grows with them.
+    pub fn sigma(&self) -> f64 {
+        libm::sqrt(self.variance * self.surprise.max(1.0))
     }
 
     /// Variance of the logarithm of the scale.
@@ -99,7 +128,7 @@ impl ScaleFilter {
 
     /// Measurements that were merged.
     pub fn n_measurements(&self) -> u32 {
-        self.n_measurements
+        self.n_measurements.iter().fold(0, |sum, &n| sum.saturating_add(n))
     }
 
     /// Expected drift of the logarithm, 1/m.
@@ -121,31 +150,32 @@ impl ScaleFilter {
         self.variance = self.variance.clamp(f64::MIN_POSITIVE, ceiling);
         self.covariance += distance_m * self.rate_variance;
         self.rate_variance += change;
-        self.unmeasured_m += distance_m;
+        self.unmeasured_m.iter_mut().for_each(|way_m| *way_m += distance_m);
         libm::exp(self.drift_rate_per_m * distance_m)
     }
 
     /// Merges one measurement of the factor (true length / length in the current scale); a ratio that is not above 0 is
     /// rejected.
     pub fn update(&mut self, measured: &ScaleMeasurement, settings: &ScaleFilterSettings) -> ScaleUpdate {
-        let (log_ratio, own_sigma) = (libm::log(measured.ratio), measured.relative_sigma);
-        let source_sigma = match measured.source {
-            ScaleSource::GroundPlane => settings.measurement_sigma,
-            ScaleSource::DepthNetwork => settings.network_sigma,
-            ScaleSource::WheelSpeed => settings.wheel_sigma,
+        let (log_ratio, place) = (libm::log(measured.ratio), measured.source.place());
+        let (Some(&n_before), Some(&unmeasured_m)) = (self.n_measurements.get(place), self.unmeasured_m.get(place))
+        else {
+            return ScaleUpdate::Reject { log_ratio, limit: 0.0 };
         };
-        let limit = libm::log(settings.max_jump);
-        let early = settings.early_sigma / f64::from(self.n_measurements + 1);
-        let shared = (settings.correlation_m / self.unmeasured_m).max(1.0);
-        let stretch = source_sigma * source_sigma * shared;
-        let noise = stretch + own_sigma * own_sigma + early * early;
-        let is_jump = self.n_measurements > 0 && log_ratio.abs() > limit;
-        if !log_ratio.is_finite() || !noise.is_finite() || is_jump {
+        // The way that wheels roll is no worse in the beginning.
+        let is_seen = measured.source != ScaleSource::WheelSpeed;
+        let early = if is_seen { settings.early_sigma / f64::from(n_before + 1) } else { 0.0 };
+        let shared = (settings.correlation_m / unmeasured_m).max(1.0);
+        let source_sigma = settings.sigma_of(measured.source);
+        let noise =
+            source_sigma * source_sigma * shared + measured.relative_sigma * measured.relative_sigma + early * early;
+        let limit = self.limit(place, noise, settings);
+        if !log_ratio.is_finite() || !noise.is_finite() || log_ratio.abs() > limit {
             return ScaleUpdate::Reject { log_ratio, limit };
         }
-        self.n_measurements = self.n_measurements.saturating_add(1);
-        self.unmeasured_m = 0.0;
+        self.note_measured(place);
         let sigmas2 = log_ratio * log_ratio / (self.variance + noise);
+        self.surprise += NEWEST_SURPRISE * (sigmas2 - self.surprise);
         let weight = 1.0 / (1.0 + sigmas2 / (settings.kernel_sigmas * settings.kernel_sigmas));
         let total = self.variance + noise / weight;
         let (gain, rate_gain) = (self.variance / total, self.covariance / total);
@@ -154,6 +184,25 @@ impl ScaleFilter {
         self.covariance *= 1.0 - gain;
         self.variance *= 1.0 - gain;
         ScaleUpdate::Accept { correction: libm::exp(gain * log_ratio), weight, gains: [gain, rate_gain] }
+    }
+
+    /// How far the logarithm of a measurement may be off: anywhere at first, then by no jump, and only within its own
+    /// uncertainty and that of the scale where another source has just been merged.
+    fn limit(&self, place: usize, noise: f64, settings: &ScaleFilterSettings) -> f64 {
+        if self.n_measurements() == 0 {
+            return f64::INFINITY;
+        }
+        let others =
+            self.n_measurements.iter().zip(&self.unmeasured_m).enumerate().filter(|(other, _)| *other != place);
+        let is_vouched = others.into_iter().any(|(_, (&n, &way_m))| n > 0 && way_m <= settings.correlation_m);
+        let gate = settings.gate_sigmas * libm::sqrt(self.variance + noise);
+        libm::log(settings.max_jump).min(if is_vouched { gate } else { f64::INFINITY })
+    }
+
+    fn note_measured(&mut self, place: usize) {
+        if let (Some(n), Some(way_m)) = (self.n_measurements.get_mut(place), self.unmeasured_m.get_mut(place)) {
+            (*n, *way_m) = (n.saturating_add(1), 0.0);
+        }
     }
 }
 
@@ -174,6 +223,7 @@ mod tests {
         early_sigma: 0.1,
         kernel_sigmas: 2.0,
         max_jump: 1.5,
+        gate_sigmas: 4.0,
     };
 
     fn road(ratio: f64, relative_sigma: f64) -> ScaleMeasurement {
@@ -273,52 +323,78 @@ mod tests {
         turn_rad: f64,
         /// What the logarithm of the odometry's scale drifts by at each.
         drift: f64,
-        /// How far the logarithm of the measurement is off at a keyframe; NaN where there is none.
+        /// How far the logarithm of the road's measurement is off at a keyframe; NaN where there is none.
         bias: fn(usize) -> f64,
+        /// How far off the second source is, where there is one.
+        second_bias: fn(usize) -> f64,
     }
 
-    const STRAIGHT: Stretch = Stretch { n: 60, step_m: 1.5, turn_rad: 0.0, drift: 0.0, bias: |_| 0.0 };
+    const STRAIGHT: Stretch =
+        Stretch { n: 60, step_m: 1.5, turn_rad: 0.0, drift: 0.0, bias: |_| 0.0, second_bias: |_| 0.0 };
 
-    /// The worst error of the logarithm of the scale in the last stretch.
-    fn worst_in_last(stretches: &[Stretch], settings: &ScaleFilterSettings) -> f64 {
+    /// The worst error of the logarithm of the scale in the last stretch, and the worst over its reported deviation.
+    fn worst_in_last(stretches: &[Stretch], second: Option<ScaleSource>, settings: &ScaleFilterSettings) -> (f64, f64) {
         let mut filter = ScaleFilter::new(settings);
-        let (mut log_scale, mut worst) = (0.0, 0.0_f64);
+        let (mut log_scale, mut worst, mut sigmas) = (0.0, 0.0_f64, 0.0_f64);
         for (s, stretch) in stretches.iter().enumerate() {
             for i in 0..stretch.n {
                 log_scale += stretch.drift + libm::log(filter.drive(stretch.step_m, stretch.turn_rad, settings));
-                let noise = if i % 2 == 0 { 0.03 } else { -0.03 };
-                let ratio = libm::exp((stretch.bias)(i) + noise - log_scale);
-                if let ScaleUpdate::Accept { correction, .. } = filter.update(&road(ratio, 0.02), settings) {
-                    log_scale += libm::log(correction);
+                let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+                let others = second.map(|source| (source, (stretch.second_bias)(i) - sign * settings.sigma_of(source)));
+                let road = (ScaleSource::GroundPlane, (stretch.bias)(i) + sign * 0.03);
+                for (source, off) in others.into_iter().chain([road]) {
+                    let measured = ScaleMeasurement { ratio: libm::exp(off - log_scale), relative_sigma: 0.02, source };
+                    if let ScaleUpdate::Accept { correction, .. } = filter.update(&measured, settings) {
+                        log_scale += libm::log(correction);
+                    }
                 }
                 if s + 1 == stretches.len() {
                     worst = worst.max(log_scale.abs());
+                    sigmas = sigmas.max(log_scale.abs() / filter.sigma());
                 }
             }
         }
-        worst
+        (worst, sigmas)
     }
 
     #[test]
     fn no_disturbance_pulls_the_scale_away() {
         let settings = crate::tracking::TrackingSettings::STANDARD.scale;
-        let check = |what: &str, stretches: &[Stretch], limit: f64| {
-            let worst = worst_in_last(stretches, &settings);
-            assert!(worst < limit, "{what}: {worst}");
-        };
         // As on KITTI 05: 16 % in a corner of 75 degrees, when nothing corrects it.
         let turn = Stretch { n: 26, step_m: 0.36, turn_rad: 0.05, drift: 0.006, ..STRAIGHT };
-        check("a turn in which landmarks change", &[STRAIGHT, turn], 0.085);
         let crest = Stretch { n: 13, bias: |_| 0.1, ..STRAIGHT };
-        check("a crest", &[STRAIGHT, crest], 0.06);
         let truck = Stretch { n: 33, drift: 0.0003 * 1.5, bias: |_| f64::NAN, ..STRAIGHT };
-        check("a truck that hides the road", &[STRAIGHT, truck], 0.02);
         let parked = Stretch { n: 100, bias: |i| if i % 5 < 2 { -0.22 } else { 0.0 }, ..STRAIGHT };
-        check("parked cars", &[STRAIGHT, parked], 0.08);
+        let wall = Stretch { n: 13, bias: |_| -0.22, ..STRAIGHT };
+        let riding = Stretch { n: 13, bias: |_| 0.4, ..STRAIGHT };
+        let worn = Stretch { n: 100, second_bias: |_| 0.015, ..STRAIGHT };
+        let broken = Stretch { n: 13, second_bias: |_| -0.6, ..STRAIGHT };
         let first = Stretch { n: 1, step_m: 0.25, bias: |_| 0.5, ..STRAIGHT };
         let creeping = Stretch { n: 20, step_m: 0.25, ..STRAIGHT };
-        check("a start that was measured wrong", &[first, creeping, creeping], 0.02);
+        // Limits with the road alone, with a network's depths and with wheels beside it.
+        let check = |what: &str, stretches: &[Stretch], limits: [f64; 3]| {
+            let seconds = [None, Some(ScaleSource::DepthNetwork), Some(ScaleSource::WheelSpeed)];
+            for (second, limit) in seconds.into_iter().zip(limits) {
+                let (worst, sigmas) = worst_in_last(stretches, second, &settings);
+                assert!(worst < limit, "{what}, {second:?}: {worst}");
+                assert!(sigmas < 3.0, "{what}, {second:?}: {sigmas} deviations");
+            }
+        };
+        check("a turn in which landmarks change", &[STRAIGHT, turn], [0.085, 0.07, 0.03]);
+        check("a crest", &[STRAIGHT, crest], [0.06, 0.045, 0.015]);
+        check("a truck that hides the road", &[STRAIGHT, truck], [0.02, 0.02, 0.01]);
+        check("parked cars", &[STRAIGHT, parked], [0.08, 0.04, 0.01]);
+        check("a wall of parked cars", &[STRAIGHT, wall], [0.085, 0.01, 0.005]);
+        check("a car ahead taken for road", &[STRAIGHT, riding], [0.06, 0.01, 0.005]);
+        check("worn tyres", &[STRAIGHT, worn], [0.01, 0.01, 0.02]);
+        check("a second source that breaks", &[STRAIGHT, broken], [0.01, 0.01, 0.01]);
+        check("a start that was measured wrong", &[first, creeping, creeping], [0.02, 0.01, 0.01]);
         let deaf = ScaleFilterSettings { turn_drift_per_sqrt_rad: 0.0, ..settings };
-        assert!(worst_in_last(&[STRAIGHT, turn], &deaf) > 0.085, "the turn is no test");
+        assert!(worst_in_last(&[STRAIGHT, turn], None, &deaf).0 > 0.085, "the turn is no test");
+        let ungated = ScaleFilterSettings { gate_sigmas: f64::INFINITY, ..settings };
+        let pulled = |settings: &ScaleFilterSettings| {
+            worst_in_last(&[STRAIGHT, riding], Some(ScaleSource::DepthNetwork), settings).0
+        };
+        assert!(pulled(&ungated) > 0.02, "the gate is no test");
     }
 }

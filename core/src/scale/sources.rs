@@ -15,6 +15,54 @@ pub enum ScaleSource {
     WheelSpeed,
 }
 
+impl ScaleSource {
+    /// Number of sources.
+    pub const N: usize = 3;
+
+    /// Place among the sources.
+    pub(super) fn place(self) -> usize {
+        self as usize
+    }
+}
+
+/// Some of the sources.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ScaleSources([bool; ScaleSource::N]);
+
+impl ScaleSources {
+    /// None.
+    pub const NONE: Self = Self([false; ScaleSource::N]);
+    /// What needs no trained network: the road, and the wheels where they are known.
+    pub const UNTRAINED: Self = Self([true, false, true]);
+    /// Every one.
+    pub const ALL: Self = Self([true; ScaleSource::N]);
+
+    /// These sources.
+    pub fn of(sources: &[ScaleSource]) -> Self {
+        sources.iter().fold(Self::NONE, |all, &source| all.with(source))
+    }
+
+    /// These and others.
+    pub fn and(self, others: Self) -> Self {
+        let mut all = self;
+        all.0.iter_mut().zip(others.0).for_each(|(mine, other)| *mine |= other);
+        all
+    }
+
+    /// The same and one more.
+    pub fn with(mut self, source: ScaleSource) -> Self {
+        if let Some(slot) = self.0.get_mut(source.place()) {
+            *slot = true;
+        }
+        self
+    }
+
+    /// Whether it is one of them.
+    pub fn contains(self, source: ScaleSource) -> bool {
+        self.0.get(source.place()).copied().unwrap_or(false)
+    }
+}
+
 /// One measurement of the scale, whatever it comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScaleMeasurement {

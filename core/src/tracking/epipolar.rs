@@ -10,6 +10,7 @@ use crate::pose::{
     Match, RelativePose, RelativeSettings, StepLength, estimate_homography, estimate_relative, fit_step_length,
     gric_essential, gric_homography, relative_covariance, rotation_of_homography,
 };
+use crate::scale::{ScaleSource, ScaleSources};
 use nalgebra::{Matrix3, Matrix6, Translation3};
 
 /// Random streams of the robust loops.
@@ -118,16 +119,21 @@ impl Tracker<'_> {
         Some(FramePose { camera_from_world, model: PoseModel::Rotation, step_covariance, ..pose })
     }
 
-    /// Metres of the step since the keyframe: from landmarks, else from the road, else from the speed so far.
+    /// Metres of the step since the keyframe: from landmarks, else from the wheels, else from the road, else from the speed
+    /// so far.
     fn length_of_step(&mut self, motion: &RelativePose, predicted_m: f64, pose: &mut FramePose) -> Option<StepLength> {
         let n = if self.is_started { self.collect_landmark_matches() } else { 0 };
         if n >= self.settings.min_inliers {
             let matches = self.scratch.landmark_matches.get(..n)?;
             return fit_step_length(matches, motion, predicted_m, self.settings.noise_z1(&self.camera));
         }
+        if let Some(rolled) = self.wheel_step(motion) {
+            (pose.is_metric, pose.scale_sources) = (true, ScaleSources::of(&[ScaleSource::WheelSpeed]));
+            return Some(rolled);
+        }
         if let Some(measured) = self.road_step(motion, predicted_m) {
             pose.n_road = measured.n_pixels;
-            pose.is_metric = true;
+            (pose.is_metric, pose.scale_sources) = (true, ScaleSources::of(&[ScaleSource::GroundPlane]));
             // Its error is that of the scale.
             return Some(StepLength { length_m: measured.step_m, sigma_m: 0.0 });
         }

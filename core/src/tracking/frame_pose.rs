@@ -13,6 +13,7 @@ use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::TrackReport;
 use crate::math::{Rng, se3};
 use crate::pose::{estimate_pnp, fit_turn};
+use crate::scale::ScaleSources;
 use crate::verify::{MotionVerdict, judge_motion};
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3};
 
@@ -58,6 +59,8 @@ pub(super) struct FramePose {
     pub(super) side_slip_rad: f64,
     pub(super) scale_ratio: f64,
     pub(super) n_road: usize,
+    /// Whose measurements of the scale were merged.
+    pub(super) scale_sources: ScaleSources,
 }
 
 impl FramePose {
@@ -82,6 +85,7 @@ impl FramePose {
             side_slip_rad: f64::NAN,
             scale_ratio: f64::NAN,
             n_road: 0,
+            scale_sources: ScaleSources::NONE,
         }
     }
 

@@ -22,6 +22,7 @@ pub use storage::{
 pub use tracker::{PYRAMID_LEVELS, Tracker};
 
 use crate::conventions::{Rigid, TimestampNs};
+use crate::scale::ScaleSources;
 use nalgebra::Matrix6;
 
 /// What became of a frame. Frames that never reached the tracker (`dropped`) are counted by the pipeline.
@@ -144,8 +145,11 @@ pub struct FrameReport {
     pub step_m: f32,
     /// Ratio of the measured scale over the predicted one; NaN when it was not measured.
     pub scale_ratio: f32,
-    /// Standard deviation of the natural logarithm of the scale that lengths have by now.
+    /// Standard deviation of the natural logarithm of the scale that lengths have by now; more than what the filter claims
+    /// where measurements disagree with it.
     pub scale_sigma: f32,
+    /// Whose measurements of the scale this frame took over.
+    pub scale_sources: ScaleSources,
     /// Road points (or pixels) behind the scale.
     pub n_road: u32,
 }

@@ -38,20 +38,26 @@ impl Tracker<'_> {
         }
         if self.is_started {
             let scale = self.correct_scale(earlier_slot, aids);
-            (pose.scale_ratio, pose.n_road) = (scale.ratio, scale.n_pixels);
+            (pose.scale_ratio, pose.n_road, pose.scale_sources) = (scale.ratio, scale.n_pixels, scale.sources);
         }
-        self.travelled = Some(Travelled::NOTHING);
         if self.settings.dynamic_filter == DynamicFilter::Region {
             let (normal, height_m) = (self.expected_normal, self.mounting.height_m);
             let share = self.settings.below_road_ratio;
             pose.n_dynamic += mark_impossible(&self.window, self.landmarks, &normal, height_m, share);
         }
         self.drop_outliers();
+        let was_started = self.is_started;
         self.judge_start();
         self.keyframe_slot = self.current_slot;
         self.tracks.promote(self.simd, &self.pyramids[self.current_slot], &self.settings.tracks);
         self.link_landmarks();
         self.adopt_new_tracks(column);
+        if self.is_started && !was_started {
+            self.note_newest();
+            self.publish_points();
+            pose.scale_sources = pose.scale_sources.and(self.correct_first_scale(aids));
+        }
+        self.travelled = Some(Travelled::NOTHING);
         if let Some(adjusted) = self.window.newest() {
             pose.camera_from_world = adjusted.camera_from_world;
         }

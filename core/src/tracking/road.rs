@@ -1,13 +1,13 @@
-//! Metres from the road, at the start and ever after.
+//! Metres from the road, a network's depths and the wheels, at the start and ever after.
 
 use super::tracker::Tracker;
 use super::{Aids, KeyframePoint, RoadPlane, Travelled};
 use crate::conventions::Rigid;
-use crate::keyframe::WINDOW;
-use crate::pose::RelativePose;
+use crate::keyframe::{Column, KeyframeWindow, WINDOW};
+use crate::pose::{RelativePose, StepLength};
 use crate::scale::{
-    MAX_DEPTHS, RoadAlignment, RoadPair, ScaleFilter, ScaleMeasurement, ScaleSource, ScaleUpdate, align_road,
-    depth_ratio, wheel_ratio,
+    MAX_DEPTHS, RoadAlignment, RoadPair, ScaleFilter, ScaleMeasurement, ScaleSource, ScaleSources, ScaleUpdate,
+    align_road, depth_ratio, wheel_ratio,
 };
 use nalgebra::{Translation3, Vector3};
 
@@ -38,10 +38,24 @@ pub(super) struct RoadStep {
 }
 
 /// What a keyframe learnt about the scale.
+#[derive(Clone, Copy)]
 pub(super) struct ScaleFigures {
-    /// Measured over predicted scale; NaN when it was not measured.
+    /// Measured over predicted scale, of the first source that measured it; NaN when none did.
     pub(super) ratio: f64,
     pub(super) n_pixels: usize,
+    /// Whose measurements were merged.
+    pub(super) sources: ScaleSources,
+}
+
+impl ScaleFigures {
+    const NOTHING: Self = Self { ratio: f64::NAN, n_pixels: 0, sources: ScaleSources::NONE };
+}
+
+/// The step between the two newest keyframes, whose scale is measured.
+struct ScaledStep {
+    earlier: Column,
+    earlier_slot: usize,
+    earlier_from_later: Rigid,
 }
 
 impl Tracker<'_> {
@@ -78,54 +92,76 @@ impl Tracker<'_> {
         self.travelled = self.travelled.zip(frame).map(sum);
     }
 
-    /// Measures the scale between the two newest keyframes, merges it and corrects the window.
+    /// Length of the step from the keyframe to the current frame, from the wheels alone.
+    pub(super) fn wheel_step(&self, motion: &RelativePose) -> Option<StepLength> {
+        let way = self.travelled.filter(|_| self.settings.scale_sources.contains(ScaleSource::WheelSpeed))?;
+        let of_one_m = Rigid::from_parts(Translation3::from(motion.direction), motion.rotation).inverse();
+        let found = wheel_ratio(&of_one_m, &self.mounting, way.metres, way.sigma_m)?;
+        let relative_sigma = libm::hypot(found.relative_sigma, self.settings.scale.wheel_sigma);
+        Some(StepLength { length_m: found.ratio, sigma_m: found.ratio * relative_sigma })
+    }
+
+    /// Measures the scale between the two newest keyframes by all that can tell it, merges that and corrects the window.
     ///
     /// `earlier_slot` holds the pyramid of the keyframe before the newest, `current_slot` that of the newest.
     pub(super) fn correct_scale(&mut self, earlier_slot: usize, aids: &mut Aids<'_>) -> ScaleFigures {
-        let nothing = ScaleFigures { ratio: f64::NAN, n_pixels: 0 };
-        let mut newest_first = self.window.columns_by_age().collect::<heapless::Vec<_, 8>>();
-        newest_first.reverse();
-        let &[newest, earlier, ..] = newest_first.as_slice() else { return nothing };
-        let (Some(later_k), Some(earlier_k)) = (self.window.at(newest), self.window.at(earlier)) else {
-            return nothing;
-        };
-        let earlier_from_later = earlier_k.camera_from_world * later_k.camera_from_world.inverse();
-        let step_m = earlier_from_later.translation.vector.norm();
-        let mut road = None;
-        let measured = match self.settings.scale_source {
-            ScaleSource::GroundPlane => {
-                let [shortest_m, longest_m] = FIRST_STEP_RANGE_M;
-                let is_forgotten = self.is_scale_forgotten() && step_m > 0.0;
-                let range = if is_forgotten { [step_m / longest_m, step_m / shortest_m] } else { KNOWN_RANGE };
-                road = self.measure_road(earlier_slot, earlier_from_later, range);
-                road.map(|found| ScaleMeasurement {
-                    ratio: self.mounting.height_m / found.height_m,
-                    relative_sigma: found.relative_sigma,
-                    source: ScaleSource::GroundPlane,
-                })
-            }
-            ScaleSource::DepthNetwork => self.measure_depths(earlier_slot, aids),
-            ScaleSource::WheelSpeed => {
-                self.travelled.and_then(|way| wheel_ratio(&earlier_from_later, &self.mounting, way.metres, way.sigma_m))
-            }
-        };
-        let turn_rad = earlier_from_later.rotation.angle();
-        let drift = self.scale.drive(step_m, turn_rad, &self.settings.scale);
+        let Some(step) = self.newest_step(earlier_slot) else { return ScaleFigures::NOTHING };
+        // What does not look at the road comes first, because the road is what traffic hides.
+        let wheels = self.measure_wheels(&step);
+        let depths = self.measure_depths(earlier_slot, aids);
+        let road = self.measure_road(&step);
+        let of_road = road.map(|found| ScaleMeasurement {
+            ratio: self.mounting.height_m / found.height_m,
+            relative_sigma: found.relative_sigma,
+            source: ScaleSource::GroundPlane,
+        });
+        let step_m = step.earlier_from_later.translation.vector.norm();
+        let drift = self.scale.drive(step_m, step.earlier_from_later.rotation.angle(), &self.settings.scale);
         self.drift_at_keyframe.drive(step_m);
-        self.window.rescale(drift, earlier, self.landmarks);
+        self.window.rescale(drift, step.earlier, self.landmarks);
         self.n_unmeasured = self.n_unmeasured.saturating_add(1);
-        let Some(measured) = measured else { return nothing };
-        let measured = ScaleMeasurement { ratio: measured.ratio / drift, ..measured };
-        let figures = ScaleFigures { ratio: measured.ratio, n_pixels: road.map_or(0, |found| found.n_pixels) };
-        if self.is_scale_forgotten() && !self.scale_is_found_again(measured.ratio) {
-            return figures;
-        }
-        let update = self.scale.update(&measured, &self.settings.scale);
-        if let ScaleUpdate::Accept { correction, weight, gains } = update {
+        self.merge([wheels, depths, of_road], drift, road, step.earlier)
+    }
+
+    /// The same for the very first step, whose length is already the road's or the wheels'; the points of the newest keyframe
+    /// are published.
+    pub(super) fn correct_first_scale(&mut self, aids: &mut Aids<'_>) -> ScaleSources {
+        let Some(step) = self.newest_step(self.keyframe_slot) else { return ScaleSources::NONE };
+        let measured = [self.measure_wheels(&step), self.measure_depths(self.keyframe_slot, aids), None];
+        self.merge(measured, 1.0, None, step.earlier).sources
+    }
+
+    fn newest_step(&self, earlier_slot: usize) -> Option<ScaledStep> {
+        let newest = self.window.newest()?;
+        let earlier = KeyframeWindow::column_of(newest.ordinal.checked_sub(1)?);
+        let earlier_from_later = self.window.at(earlier)?.camera_from_world * newest.camera_from_world.inverse();
+        Some(ScaledStep { earlier, earlier_slot, earlier_from_later })
+    }
+
+    /// Merges what the sources measured, one after the other; `factor` is what the window was multiplied by since.
+    fn merge(
+        &mut self,
+        measured: [Option<ScaleMeasurement>; ScaleSource::N],
+        mut factor: f64,
+        road: Option<RoadAlignment>,
+        center: Column,
+    ) -> ScaleFigures {
+        let mut figures = ScaleFigures { n_pixels: road.map_or(0, |found| found.n_pixels), ..ScaleFigures::NOTHING };
+        for measured in measured.into_iter().flatten() {
+            let measured = ScaleMeasurement { ratio: measured.ratio / factor, ..measured };
+            figures.ratio = if figures.ratio.is_nan() { measured.ratio } else { figures.ratio };
+            if self.is_scale_forgotten() && !self.scale_is_found_again(measured.ratio) {
+                continue;
+            }
+            let update = self.scale.update(&measured, &self.settings.scale);
+            let ScaleUpdate::Accept { correction, weight, gains } = update else { continue };
             self.n_unmeasured = 0;
+            figures.sources = figures.sources.with(measured.source);
             self.drift_at_keyframe.correct_scale(gains);
-            self.window.rescale(correction, earlier, self.landmarks);
-            if let Some(found) = road.filter(|_| weight > BELIEVED_WEIGHT) {
+            self.window.rescale(correction, center, self.landmarks);
+            factor *= correction;
+            let is_road = measured.source == ScaleSource::GroundPlane && weight > BELIEVED_WEIGHT;
+            if let Some(found) = road.filter(|_| is_road) {
                 self.learn_normal(&found);
             }
         }
@@ -155,13 +191,26 @@ impl Tracker<'_> {
         (self.n_unmeasured, self.unconfirmed_ratio) = (0, None);
     }
 
+    /// The way of the wheels between the two newest keyframes.
+    fn measure_wheels(&self, step: &ScaledStep) -> Option<ScaleMeasurement> {
+        let way = self.travelled.filter(|_| self.settings.scale_sources.contains(ScaleSource::WheelSpeed))?;
+        wheel_ratio(&step.earlier_from_later, &self.mounting, way.metres, way.sigma_m)
+    }
+
     /// The road between the two newest keyframes.
-    fn measure_road(&self, earlier_slot: usize, earlier_from_later: Rigid, range: [f64; 2]) -> Option<RoadAlignment> {
+    fn measure_road(&self, step: &ScaledStep) -> Option<RoadAlignment> {
+        if !self.settings.scale_sources.contains(ScaleSource::GroundPlane) {
+            return None;
+        }
+        let step_m = step.earlier_from_later.translation.vector.norm();
+        let [shortest_m, longest_m] = FIRST_STEP_RANGE_M;
+        let is_forgotten = self.is_scale_forgotten() && step_m > 0.0;
+        let range = if is_forgotten { [step_m / longest_m, step_m / shortest_m] } else { KNOWN_RANGE };
         let pair = RoadPair {
             later: &self.pyramids[self.current_slot],
-            earlier: &self.pyramids[earlier_slot],
+            earlier: &self.pyramids[step.earlier_slot],
             camera: &self.camera,
-            earlier_from_later,
+            earlier_from_later: step.earlier_from_later,
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
@@ -170,7 +219,8 @@ impl Tracker<'_> {
 
     /// Compares what is known about the depths in the keyframe before the newest with its triangulated points.
     fn measure_depths(&self, earlier_slot: usize, aids: &mut Aids<'_>) -> Option<ScaleMeasurement> {
-        let prior = aids.depth.as_mut()?;
+        let is_wanted = self.settings.scale_sources.contains(ScaleSource::DepthNetwork);
+        let prior = aids.depth.as_mut().filter(|_| is_wanted)?;
         let points = self.keyframe_points();
         let highest_px = SKY_SHARE * self.camera.height as f32;
         let is_usable = |p: &&KeyframePoint| p.pixel[1] >= highest_px && p.relative_sigma < MAX_DEPTH_SIGMA;

@@ -5,7 +5,7 @@ use crate::camera::Pinhole;
 use crate::features::tracks::TrackSettings;
 use crate::gate::GateSettings;
 use crate::pose::{PnpSettings, RelativeSettings};
-use crate::scale::{RoadSettings, ScaleFilterSettings, ScaleSource};
+use crate::scale::{RoadSettings, ScaleFilterSettings, ScaleSources};
 use crate::verify::MotionLimits;
 
 /// Which solvers may find the pose of a frame once there are landmarks.
@@ -83,8 +83,8 @@ pub struct TrackingSettings {
     pub normal_adaptation: f64,
     /// Largest deviation of the expected normal from the mounting's, rad. Range 0..0.2.
     pub max_normal_deviation_rad: f64,
-    /// What tells the scale.
-    pub scale_source: ScaleSource,
+    /// What may tell the scale. The road measures the first step whatever is asked for, where nothing else does.
+    pub scale_sources: ScaleSources,
     /// The road's alignment.
     pub road: RoadSettings,
     /// How scale measurements are merged.
@@ -120,7 +120,7 @@ impl TrackingSettings {
         below_road_ratio: 0.5,
         normal_adaptation: 0.05,
         max_normal_deviation_rad: 0.05,
-        scale_source: ScaleSource::GroundPlane,
+        scale_sources: ScaleSources::UNTRAINED,
         road: RoadSettings {
             distance_m: [5.0, 16.0],
             half_width_m: 3.0,
@@ -147,6 +147,7 @@ impl TrackingSettings {
             early_sigma: 0.2,
             kernel_sigmas: 2.0,
             max_jump: 2.0,
+            gate_sigmas: 4.0,
         },
         motion: MotionLimits {
             max_turn_change_rad_per_s: 0.87,

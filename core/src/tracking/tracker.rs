@@ -370,7 +370,8 @@ impl<'m> Tracker<'m> {
             direction_anomaly_rad: pose.side_slip_rad as f32,
             step_m: (self.newest.camera_from_world * world_from_camera).translation.vector.norm() as f32,
             scale_ratio: pose.scale_ratio as f32,
-            scale_sigma: libm::sqrt(self.scale.variance()) as f32,
+            scale_sigma: self.scale.sigma() as f32,
+            scale_sources: pose.scale_sources,
             n_road: pose.n_road as u32,
         }
     }

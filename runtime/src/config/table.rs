@@ -5,7 +5,7 @@ use crate::mapping::MAX_OLDER_VIEWS;
 use crate::refine::PruneScore;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
-use kilogs_core::scale::ScaleSource;
+use kilogs_core::scale::{ScaleSource, ScaleSources};
 use kilogs_core::tracking::{DynamicFilter, PYRAMID_LEVELS, PoseModels};
 use std::time::Duration;
 
@@ -117,7 +117,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     Setting {
         key: "tracking.scale_source",
         kind: Kind::Choice {
-            available: &["ground_plane", "depth_network", "wheel_speed"],
+            available: &["fused", "all", "ground_plane", "depth_network", "wheel_speed"],
             planned: &[],
             put: put_scale_source,
         },
@@ -304,10 +304,12 @@ fn put_pose_models(settings: &mut Settings, word: &str) {
 }
 
 fn put_scale_source(settings: &mut Settings, word: &str) {
-    settings.tracking.tracker.scale_source = match word {
-        "depth_network" => ScaleSource::DepthNetwork,
-        "wheel_speed" => ScaleSource::WheelSpeed,
-        _ => ScaleSource::GroundPlane,
+    settings.tracking.tracker.scale_sources = match word {
+        "all" => ScaleSources::ALL,
+        "ground_plane" => ScaleSources::of(&[ScaleSource::GroundPlane]),
+        "depth_network" => ScaleSources::of(&[ScaleSource::DepthNetwork]),
+        "wheel_speed" => ScaleSources::of(&[ScaleSource::WheelSpeed]),
+        _ => ScaleSources::UNTRAINED,
     };
 }
 

@@ -13,6 +13,7 @@ use crate::run_error::RunError;
 use crate::telemetry::MemoryWatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_core::conventions::Rigid;
+use kilogs_core::scale::ScaleSources;
 use kilogs_core::tracking::{FrameReport, FrameStatus, MatchSource, PoseModel, StatusReason};
 use nalgebra::Matrix6;
 use std::sync::Arc;
@@ -168,6 +169,7 @@ impl FrameReports {
             step_m: f32::NAN,
             scale_ratio: f32::NAN,
             scale_sigma: f32::NAN,
+            scale_sources: ScaleSources::NONE,
             n_road: 0,
         }
     }

@@ -32,6 +32,7 @@ fn frame(frame_index: u64, status: FrameStatus, keyframe_ordinal: u32, along_m: 
         step_m: 1.25,
         scale_ratio: 1.0,
         scale_sigma: 0.02,
+        scale_sources: kilogs_core::scale::ScaleSources::NONE,
         n_road: 40,
     }
 }

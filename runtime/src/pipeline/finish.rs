@@ -110,6 +110,11 @@ fn warn_of_losses(mapping: Option<&MappingSummary>, tally: &Tally, quality: &Map
             "late: {n_keyframes_dropped} keyframes came while the mapper was busy, {n_left_out} images while the disk was"
         );
     }
+    for source in tally.silent_sources() {
+        log::warn!(
+            "tracking.scale_source: {source} never told a scale that could be taken over; metres come from the others"
+        );
+    }
     let (input, viewer) = (tally.input(), &quality.viewer);
     let Overflow { visible_gaussians, row_entries, pairs } = viewer.overflow;
     let n_overflowed = [visible_gaussians, row_entries, pairs].map(u64::from).iter().sum::<u64>();

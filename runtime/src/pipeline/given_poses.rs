@@ -134,6 +134,7 @@ mod tests {
             step_m: 0.0,
             scale_ratio: 0.0,
             scale_sigma: 0.0,
+            scale_sources: kilogs_core::scale::ScaleSources::NONE,
             n_road: 0,
         }
     }

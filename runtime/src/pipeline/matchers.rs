@@ -89,7 +89,7 @@ fn wanted(plan: &RunPlan) -> Wanted<'_> {
     Wanted {
         matcher,
         dense: plan.settings.tracking.dense_fallback && matcher != Matcher::Classical,
-        depth: plan.settings.tracking.tracker.scale_source == ScaleSource::DepthNetwork,
+        depth: plan.settings.tracking.tracker.scale_sources.contains(ScaleSource::DepthNetwork),
         settings: &plan.settings.inference,
         image: (plan.camera.width as usize, plan.camera.height as usize),
         focal_px: plan.camera.fx as f32,

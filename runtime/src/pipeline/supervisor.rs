@@ -239,7 +239,7 @@ impl<'run> Supervisor<'run> {
         let health = HealthPublisher::open().map_err(|e| RunError::Input(e.to_string()))?;
         let watch = MemoryWatch::new(child.as_ref().map(CameraChild::id));
         let bar = progress_bar(plan.n_frames);
-        let measured = ScaleSource::from(plan.settings.tracking.tracker.scale_source);
+        let measured = ScaleSource::Measured(plan.settings.tracking.tracker.scale_sources);
         let scale_source = if plan.given_poses.is_some() { ScaleSource::GivenPoses } else { measured };
         let tally = Tally::with_scale_source(scale_source);
         Ok(Self {

@@ -3,6 +3,7 @@
 use crate::input::InputCounts;
 use crate::output::report::{Percentiles, Tracking};
 use crate::output::{DriveChart, Histogram, Stage, StageTimes};
+use kilogs_core::scale::{ScaleSource as Source, ScaleSources};
 use kilogs_core::tracking::{FrameReport, FrameStatus, PoseModel, StatusReason};
 use nalgebra::Vector3;
 
@@ -21,21 +22,30 @@ pub struct Tally {
     input: InputCounts,
     n_keyframes_dropped: u64,
     scale_source: ScaleSource,
+    merged: ScaleSources,
 }
 
 /// Where metres come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScaleSource {
-    /// The camera's height over the road.
-    #[default]
-    GroundPlane,
-    /// A trained network's depth.
-    DepthNetwork,
-    /// The vehicle's wheels.
-    WheelSpeed,
+    /// What the tracker could measure of these.
+    Measured(ScaleSources),
     /// Poses that were given.
     GivenPoses,
 }
+
+impl Default for ScaleSource {
+    fn default() -> Self {
+        Self::Measured(ScaleSources::UNTRAINED)
+    }
+}
+
+/// The sources with their names in settings and reports.
+const NAMES: [(Source, &str); Source::N] = [
+    (Source::GroundPlane, "ground_plane"),
+    (Source::DepthNetwork, "depth_network"),
+    (Source::WheelSpeed, "wheel_speed"),
+];
 
 impl Tally {
     /// A tally of a run whose metres come from elsewhere.
@@ -53,6 +63,7 @@ impl Tally {
         let is_rejected =
             matches!(report.reason, StatusReason::TurnsTooFast | StatusReason::SlipsSideways | StatusReason::TooFast);
         self.anomalies += u64::from(is_rejected);
+        self.merged = self.merged.and(report.scale_sources);
         match (report.status, report.model) {
             (FrameStatus::Doubtful, _) => {}
             (_, PoseModel::Essential) => self.essential += 1,
@@ -107,31 +118,32 @@ impl Tally {
             pnp: self.pnp,
             dense_fallback: self.dense,
             anomalies: self.anomalies,
-            scale_source: Some(self.scale_source.name().to_owned()),
+            scale_source: Some(self.metres_from()),
             loops: 0,
             path_length_m,
         }
     }
-}
 
-impl From<kilogs_core::scale::ScaleSource> for ScaleSource {
-    fn from(source: kilogs_core::scale::ScaleSource) -> Self {
-        match source {
-            kilogs_core::scale::ScaleSource::GroundPlane => Self::GroundPlane,
-            kilogs_core::scale::ScaleSource::DepthNetwork => Self::DepthNetwork,
-            kilogs_core::scale::ScaleSource::WheelSpeed => Self::WheelSpeed,
-        }
+    /// Where metres came from, as in `report.json`: what was measured, else what was asked for.
+    fn metres_from(&self) -> String {
+        let ScaleSource::Measured(asked) = self.scale_source else { return "given_poses".to_owned() };
+        let told = if self.merged == ScaleSources::NONE { asked } else { self.merged };
+        let names = NAMES.iter().filter(|(source, _)| told.contains(*source)).map(|(_, name)| *name);
+        names.collect::<Vec<_>>().join("+")
     }
-}
 
-impl ScaleSource {
-    /// As in `report.json`.
-    fn name(self) -> &'static str {
-        match self {
-            Self::GroundPlane => "ground_plane",
-            Self::DepthNetwork => "depth_network",
-            Self::WheelSpeed => "wheel_speed",
-            Self::GivenPoses => "given_poses",
-        }
+    /// Sources that were asked for by name and never told a scale that could be believed. Wheels that nobody publishes are
+    /// none of them unless they were asked for.
+    pub fn silent_sources(&self) -> impl Iterator<Item = &'static str> {
+        let asked = match self.scale_source {
+            ScaleSource::Measured(asked) if asked == ScaleSources::UNTRAINED => {
+                ScaleSources::of(&[Source::GroundPlane])
+            }
+            ScaleSource::Measured(asked) => asked,
+            ScaleSource::GivenPoses => ScaleSources::NONE,
+        };
+        let merged = self.merged;
+        let is_silent = move |source: Source| asked.contains(source) && !merged.contains(source);
+        NAMES.iter().filter(move |(source, _)| is_silent(*source)).map(|(_, name)| *name)
     }
 }

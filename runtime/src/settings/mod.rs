@@ -127,7 +127,8 @@ impl Settings {
 
     /// Trained networks run beside the tracker.
     pub fn has_networks(&self) -> bool {
-        self.tracking.matcher != Matcher::Classical || self.tracking.tracker.scale_source == ScaleSource::DepthNetwork
+        self.tracking.matcher != Matcher::Classical
+            || self.tracking.tracker.scale_sources.contains(ScaleSource::DepthNetwork)
     }
 
     /// Two settings that contradict each other: the key to change, and what is wrong.
