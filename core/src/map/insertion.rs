@@ -1,10 +1,17 @@
 //! Where new Gaussians are worth their memory: structure of the camera image that the rendered map lacks.
 
+mod structure;
+
 use crate::math::Rng;
+pub use structure::{StructureOperator, find_structure};
 
 /// What decides how many samples a keyframe asks for, and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InsertionSettings {
+    /// What counts as structure.
+    pub operator: StructureOperator,
+    /// Only the pixels that no neighbour exceeds are candidates.
+    pub suppression: bool,
     /// Standard deviations of the two Gaussians of the difference, px at mapping resolution; (0, 4], ascending.
     /// The paper does not publish its own.
     pub sigmas_px: [f32; 2],
@@ -26,6 +33,8 @@ pub struct InsertionSettings {
 impl InsertionSettings {
     /// The values that the shipped maps were measured with.
     pub const MEASURED: Self = Self {
+        operator: StructureOperator::DifferenceOfGaussians,
+        suppression: true,
         sigmas_px: [1.0, 1.6],
         structure_weight: 0.9,
         depth_edge_weight: 0.1,
@@ -50,82 +59,6 @@ impl MapImageSize {
     pub fn n_pixels(self) -> usize {
         self.width * self.height
     }
-}
-
-/// Radius beyond which a Gaussian's weight is below a thousandth.
-const KERNEL_RADIUS_SIGMAS: f32 = 3.0;
-/// Taps on one side of the widest allowed kernel.
-const MAX_KERNEL_RADIUS: usize = 12;
-
-/// Writes `|(G_s1 - G_s2) * luma|` to `structure`; borders repeat the outermost pixel.
-///
-/// All slices hold one value per pixel; luma is in [0, 1].
-///
-/// # Source
-/// The paper, section 3.3.1 (probabilistic insertion); separable Gaussians.
-pub fn difference_of_gaussians(
-    luma: &[f32],
-    size: MapImageSize,
-    sigmas_px: [f32; 2],
-    scratch: &mut [f32],
-    structure: &mut [f32],
-) {
-    blur(luma, size, sigmas_px[0], scratch, structure, |_, blurred| blurred);
-    blur(luma, size, sigmas_px[1], scratch, structure, |fine, coarse| (fine - coarse).abs());
-}
-
-/// Separable Gaussian; `combine(old output, blurred)` says what is written.
-fn blur(
-    luma: &[f32],
-    size: MapImageSize,
-    sigma_px: f32,
-    scratch: &mut [f32],
-    out: &mut [f32],
-    combine: impl Fn(f32, f32) -> f32,
-) {
-    let (kernel, radius) = gaussian_kernel(sigma_px);
-    let MapImageSize { width, height } = size;
-    for (row, target) in luma.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
-        for (x, value) in target.iter_mut().enumerate() {
-            *value = kernel
-                .iter()
-                .enumerate()
-                .take(radius + 1)
-                .map(|(tap, weight)| {
-                    let (left, right) = (x.saturating_sub(tap), (x + tap).min(width - 1));
-                    weight * (row.get(left).unwrap_or(&0.0) + row.get(right).unwrap_or(&0.0))
-                })
-                .sum();
-        }
-    }
-    for (y, target) in out.chunks_exact_mut(width).enumerate().take(height) {
-        for (x, value) in target.iter_mut().enumerate() {
-            let blurred = kernel
-                .iter()
-                .enumerate()
-                .take(radius + 1)
-                .map(|(tap, weight)| {
-                    let (above, below) = (y.saturating_sub(tap), (y + tap).min(height - 1));
-                    let at = |row: usize| scratch.get(row * width + x).copied().unwrap_or(0.0);
-                    weight * (at(above) + at(below))
-                })
-                .sum();
-            *value = combine(*value, blurred);
-        }
-    }
-}
-
-/// One side of a normalised kernel; the middle tap is halved because both sides read it.
-fn gaussian_kernel(sigma_px: f32) -> ([f32; MAX_KERNEL_RADIUS + 1], usize) {
-    let radius = (libm::ceilf(KERNEL_RADIUS_SIGMAS * sigma_px) as usize).clamp(1, MAX_KERNEL_RADIUS);
-    let mut kernel = [0.0; MAX_KERNEL_RADIUS + 1];
-    for (tap, weight) in kernel.iter_mut().enumerate().take(radius + 1) {
-        let sigmas = tap as f32 / sigma_px;
-        *weight = libm::expf(-0.5 * sigmas * sigmas) * if tap == 0 { 0.5 } else { 1.0 };
-    }
-    let sum: f32 = 2.0 * kernel.iter().sum::<f32>();
-    kernel.iter_mut().for_each(|weight| *weight /= sum);
-    (kernel, radius)
 }
 
 /// Writes the min-max normalised gradient of the logarithmic depth; pixels without depth (zero) have none.
@@ -163,11 +96,11 @@ fn probability(settings: &InsertionSettings, gain: f32, structure: f32, depth_ed
 pub struct InsertionImages<'a> {
     /// Size of all of them.
     pub size: MapImageSize,
-    /// [`difference_of_gaussians`] of the camera image.
+    /// [`find_structure`] of the camera image.
     pub structure: &'a [f32],
     /// [`depth_edges`] of the depth source.
     pub depth_edges: &'a [f32],
-    /// [`difference_of_gaussians`] of the rendered image.
+    /// [`find_structure`] of the rendered image.
     pub rendered_structure: &'a [f32],
     /// [`depth_edges`] of the rendered depth.
     pub rendered_depth_edges: &'a [f32],
@@ -264,7 +197,11 @@ pub fn sample(
     for (value, &structure) in wanted.iter_mut().zip(images.structure) {
         *value = structure + TIE_BREAK * rng.unit_f32();
     }
-    mark_maxima(wanted, images.size, kept);
+    if settings.suppression {
+        mark_maxima(wanted, images.size, kept);
+    } else {
+        kept.fill(1);
+    }
     let gain = calibrate_gain(images, settings, kept);
     let mut demand = 0.0f32;
     for (index, (value, &kept)) in wanted.iter_mut().zip(&*kept).enumerate() {
@@ -274,7 +211,12 @@ pub fn sample(
         let bare = settings.bare_probability * at(images.transmittance);
         let wrong = settings.error_weight * at(images.error);
         let is_candidate = kept != 0 && at(images.confidence) > 0.0;
-        *value = if is_candidate { ((seen - rendered).max(0.0) + bare + wrong).min(1.0) } else { 0.0 };
+        // At random, every pixel asks for all that it can get.
+        let asked = match settings.operator {
+            StructureOperator::Random => 1.0,
+            _ => ((seen - rendered).max(0.0) + bare + wrong).min(1.0),
+        };
+        *value = if is_candidate { asked } else { 0.0 };
         demand += *value;
     }
     let share = if demand > most_samples { most_samples.max(0.0) / demand } else { 1.0 };

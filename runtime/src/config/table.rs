@@ -5,6 +5,7 @@ use crate::mapping::MAX_OLDER_VIEWS;
 use crate::refine::PruneScore;
 use crate::settings::{Matcher, Settings};
 use crate::splat::LearningRate;
+use kilogs_core::map::insertion::StructureOperator;
 use kilogs_core::scale::{ScaleSource, ScaleSources};
 use kilogs_core::tracking::{DynamicFilter, PYRAMID_LEVELS, PoseModels};
 use std::time::Duration;
@@ -192,6 +193,22 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.page_distance_m", Range::closed(10.0, 10000.0), mapping.mapper.page_distance_m),
     number!("mapping.min_opacity", Range::closed(0.0, 1.0), mapping.mapper.min_opacity),
     number!("mapping.max_width_ratio", Range::open_closed(0.0, 1.0), mapping.mapper.max_width_ratio),
+    Setting {
+        key: "mapping.insertion",
+        kind: Kind::Choice {
+            available: &["ours", "log", "canny", "random"],
+            planned: &[],
+            put: |settings, word| {
+                settings.mapping.mapper.insertion.operator = match word {
+                    "log" => StructureOperator::LaplacianOfGaussian,
+                    "canny" => StructureOperator::Canny,
+                    "random" => StructureOperator::Random,
+                    _ => StructureOperator::DifferenceOfGaussians,
+                };
+            },
+        },
+    },
+    switch!("mapping.insertion_suppression", None, mapping.mapper.insertion.suppression),
     number!("mapping.gaussians_per_m", Range::closed(1.0, 1000000.0), mapping.mapper.gaussians_per_m),
     number!("mapping.first_view_m", Range::closed(0.0, 1000.0), mapping.mapper.first_view_m),
     number!("mapping.insertion_structure_weight", Range::closed(0.0, 1.0), mapping.mapper.insertion.structure_weight),

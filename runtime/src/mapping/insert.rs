@@ -9,7 +9,7 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
 use kilogs_core::map::depth::{DepthImage, DepthRequest, EarlierView};
 use kilogs_core::map::insertion::{
-    InsertionImages, InsertionSample, SamplingScratch, depth_edges, difference_of_gaussians, sample,
+    InsertionImages, InsertionSample, InsertionSettings, SamplingScratch, depth_edges, find_structure, sample,
 };
 use kilogs_core::map::pool::{AnchorRecord, NOT_STORED};
 use kilogs_core::map::spawn::{SurfaceSample, initial_gaussian, voxels_for};
@@ -158,18 +158,18 @@ impl Mapper {
         let stats = self.backend.render(&view, RenderTarget { rgb, depth_m: rendered_depth, transmittance });
         self.list_load.add(&stats);
         let scratch = &mut self.scratch;
-        let sigmas_px = self.settings.insertion.sigmas_px;
+        let InsertionSettings { operator, sigmas_px, .. } = self.settings.insertion;
         for (value, &grey) in scratch.luma.iter_mut().zip(kept.luma) {
             *value = f32::from(grey) / 255.0;
         }
-        difference_of_gaussians(&scratch.luma, size, sigmas_px, &mut scratch.blur, &mut scratch.structure);
+        find_structure(operator, (&scratch.luma, size), sigmas_px, &mut scratch.blur, &mut scratch.structure);
         for (value, &[red, green, blue]) in scratch.luma.iter_mut().zip(&scratch.rgb) {
             *value = 0.299 * red + 0.587 * green + 0.114 * blue;
         }
         for ((error, &rendered), &grey) in scratch.error.iter_mut().zip(&scratch.luma).zip(kept.luma) {
             *error = (rendered - f32::from(grey) / 255.0).abs();
         }
-        difference_of_gaussians(&scratch.luma, size, sigmas_px, &mut scratch.blur, &mut scratch.rendered_structure);
+        find_structure(operator, (&scratch.luma, size), sigmas_px, &mut scratch.blur, &mut scratch.rendered_structure);
         // The rendered depth is weighted by what was hit; its inverse is that of the mean hit.
         for (depth, &through) in scratch.rendered_depth.iter_mut().zip(&scratch.transmittance) {
             *depth = if *depth > 0.0 && through < 0.5 { (1.0 - through) / *depth } else { 0.0 };

@@ -17,7 +17,7 @@ fn square() -> Vec<f32> {
 
 fn structure(luma: &[f32]) -> Vec<f32> {
     let (mut scratch, mut out) = (vec![0.0; luma.len()], vec![0.0; luma.len()]);
-    difference_of_gaussians(luma, SIZE, [1.0, 1.6], &mut scratch, &mut out);
+    find_structure(StructureOperator::DifferenceOfGaussians, (luma, SIZE), [1.0, 1.6], &mut scratch, &mut out);
     out
 }
 

@@ -63,7 +63,7 @@ impl Bench {
         self.kilogs(out, &["eval", &out_text, "--gt", &truth, "--dataset", &dataset_text].map(str::to_owned))
     }
 
-    /// Runs the program; a failure is told by its last line.
+    /// Runs the program; a failure is told by its last line. What it prints goes to `said.txt`, its log to `log.txt`.
     pub fn kilogs(&self, out: &Path, words: &[String]) -> Result<(), StepFailed> {
         let command_line = format!("{} {}", self.kilogs.display(), words.join(" "));
         eprintln!("== {command_line}");
@@ -73,6 +73,7 @@ impl Bench {
         let said = Command::new(&self.kilogs).args(words).stdin(Stdio::null()).output().map_err(not_started)?;
         let text = String::from_utf8_lossy(&said.stderr);
         std::fs::write(out.join("log.txt"), &*text).map_err(not_started)?;
+        std::fs::write(out.join("said.txt"), &said.stdout).map_err(not_started)?;
         if said.status.success() {
             return Ok(());
         }

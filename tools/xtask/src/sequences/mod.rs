@@ -1,11 +1,14 @@
 //! `cargo xtask sequences`: replays recordings and simulated drives and prints tables of what came out.
 
 mod bench;
+mod jobs;
+mod mapping;
 mod overview;
 mod tracking;
 
 use crate::step::StepFailed;
 use bench::{Bench, read_json};
+use jobs::run_all;
 use std::path::{Path, PathBuf};
 
 /// Options of `cargo xtask sequences`.
@@ -21,6 +24,8 @@ enum Table {
     Overview(overview::OverviewArgs),
     /// What each part of the tracker is worth: every recording with parts of it switched off, and drives that are spoilt.
     Tracking(tracking::TrackingArgs),
+    /// What each part of the mapper is worth: every recording with parts of it exchanged, as mapped and refined.
+    Mapping(mapping::MappingArgs),
 }
 
 /// What all tables share.
@@ -40,10 +45,33 @@ struct CommonArgs {
     kilogs: Option<PathBuf>,
 }
 
+/// What tables with arms share.
+#[derive(Debug, clap::Args)]
+struct ArmArgs {
+    /// Only arms whose name contains one of these, between commas.
+    #[arg(long, value_name = "TEXT", value_delimiter = ',')]
+    arms: Vec<String>,
+    /// Runs at once. Times are only worth something with one.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    jobs: u16,
+}
+
+impl ArmArgs {
+    fn is_wanted(&self, arm: &str) -> bool {
+        self.arms.is_empty() || self.arms.iter().any(|text| arm.contains(text.as_str()))
+    }
+
+    /// What has to be said about times.
+    fn warning(&self) -> Option<String> {
+        (self.jobs > 1).then(|| format!("{} runs at once: times are those of a busy machine.", self.jobs))
+    }
+}
+
 /// Prints one of the tables.
 pub(crate) fn run(root: &Path, args: &SequencesArgs) -> Result<(), StepFailed> {
     match &args.table {
         Table::Overview(args) => overview::run(root, args),
         Table::Tracking(args) => tracking::run(root, args),
+        Table::Mapping(args) => mapping::run(root, args),
     }
 }

@@ -2,12 +2,10 @@
 
 mod drives;
 mod figures;
-mod jobs;
 
-use super::{Bench, CommonArgs};
+use super::{ArmArgs, Bench, CommonArgs, run_all};
 use crate::step::StepFailed;
 use figures::Figures;
-use jobs::run_all;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -44,12 +42,9 @@ pub(super) struct TrackingArgs {
     /// What all tables share.
     #[command(flatten)]
     common: CommonArgs,
-    /// Only arms whose name contains one of these, between commas.
-    #[arg(long, value_name = "TEXT", value_delimiter = ',')]
-    arms: Vec<String>,
-    /// Runs at once. Times are only worth something with one.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
-    jobs: u16,
+    /// Which arms, and how many at once.
+    #[command(flatten)]
+    arms: ArmArgs,
     /// Map too, with this many training steps per keyframe, for the map's PSNR. With 20 the whole table takes hours.
     #[arg(long, value_name = "STEPS", num_args = 0..=1, default_missing_value = "20", require_equals = true)]
     map: Option<u32>,
@@ -69,8 +64,7 @@ struct Run {
 /// Prints both tables on stdout. Output folders go below `target/`.
 pub(super) fn run(root: &Path, args: &TrackingArgs) -> Result<(), StepFailed> {
     let bench = args.common.bench(root, RECORDINGS)?;
-    let wanted_arm = |name: &str| args.arms.is_empty() || args.arms.iter().any(|text| name.contains(text.as_str()));
-    let arms: Vec<_> = ARMS.into_iter().filter(|(name, _)| wanted_arm(name)).collect();
+    let arms: Vec<_> = ARMS.into_iter().filter(|(name, _)| args.arms.is_wanted(name)).collect();
     let mut runs = Vec::new();
     for name in &bench.recordings {
         for (arm, settings) in &arms {
@@ -107,7 +101,7 @@ impl TrackingArgs {
 /// Makes all runs and lays their figures out; what could not be had is a dash, with its reason below.
 fn table(bench: &Bench, args: &TrackingArgs, names: &str, runs: Vec<(std::path::PathBuf, Run)>) -> String {
     let out = bench.out.join("tracking");
-    let found = run_all(usize::from(args.jobs), &runs, |(dataset, run)| {
+    let found = run_all(usize::from(args.arms.jobs), &runs, |(dataset, run)| {
         let folder = out.join(&run.folder);
         bench.replay_and_judge(dataset, &folder, &run.options).and_then(|()| Figures::read(&folder, run.spoilt.clone()))
     });
@@ -125,9 +119,7 @@ fn table(bench: &Bench, args: &TrackingArgs, names: &str, runs: Vec<(std::path::
         };
         let _ = writeln!(text, "| {first} | {second} | {} |", cells.join(" | "));
     }
-    if args.jobs > 1 {
-        reasons.push(format!("{} runs at once: the milliseconds are those of a busy machine.", args.jobs));
-    }
+    reasons.extend(args.arms.warning());
     reasons.iter().for_each(|reason| text.push_str(&format!("\n* {reason}")));
     text
 }
@@ -154,7 +146,7 @@ mod tests {
     #[test]
     fn mapping_is_off_unless_it_is_asked_for() {
         let common = CommonArgs { only: None, frames: Some(7), data: None, kilogs: None };
-        let args = TrackingArgs { common, arms: Vec::new(), jobs: 1, map: None };
+        let args = TrackingArgs { common, arms: ArmArgs { arms: Vec::new(), jobs: 1 }, map: None };
         let settings = ["tracking.matcher=xfeat"];
         assert_eq!(
             args.options(&settings),
