@@ -122,8 +122,27 @@ impl<'m> LoopCloser<'m> {
             // As many as candidates.
             let _ = outcome.candidates.push(judged);
         }
-        self.kept.keep(&place, &view, remembered);
+        self.kept.keep(&place, &signature, &view, remembered);
         Ok(outcome)
+    }
+
+    /// Knows a keyframe of an earlier drive again, before the first of this one: ids ascend. Its points are in `slot` of the
+    /// [`PlacePoints`](super::PlacePoints). The first packet of the new drive has an `information` next to none: a loop with
+    /// an earlier drive says where it begins.
+    ///
+    /// # Errors
+    /// [`PushProblem`]: the keyframe is out of order or not finite, or the graph is full; nothing was changed.
+    pub fn recall(
+        &mut self,
+        slot: usize,
+        place: &Place,
+        words: &Signature,
+        information: &Matrix7,
+    ) -> Result<(), PushProblem> {
+        self.graph.push_node(place.keyframe_id, &place.odometry_from_keyframe, information)?;
+        let remembered = self.recognizer.recall(place.keyframe_id, words);
+        self.kept.recall(slot, place, remembered);
+        Ok(())
     }
 
     /// Where a keyframe stands in the map by now; `place` is where odometry put it. `None` before the first.
@@ -137,6 +156,12 @@ impl<'m> LoopCloser<'m> {
         let corrected =
             |place: &Place| Some(self.graph.world_from_keyframe(place)? * place.odometry_from_keyframe.inverse());
         self.newest.as_ref().and_then(corrected).unwrap_or_else(Similarity::identity)
+    }
+
+    /// Where the points of places are kept.
+    #[cfg(test)]
+    pub(super) fn kept_points(&mut self) -> &mut dyn super::PlacePoints {
+        self.kept.points
     }
 
     /// Keyframes that can be recognized.

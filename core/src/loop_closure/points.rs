@@ -1,14 +1,15 @@
 //! Where the points of keyframes are kept until a later view is measured against them.
 
 use crate::features::Feature;
-use crate::places::{BYTES_PER_PLACE_POINT, PlaceView, PointDepth};
+use crate::places::{BYTES_PER_PLACE_POINT, PlaceView, PointDepth, Signature};
 use core::fmt;
 
 /// The points of the keyframes that can be recognized, in numbered slots: only a candidate's are needed, so they may lie
 /// where looking them up takes a while.
 pub trait PlacePoints: fmt::Debug {
-    /// Replaces what is in a slot.
-    fn keep(&mut self, slot: usize, view: &PlaceView<'_>);
+    /// Replaces what is in a slot. Whoever keeps it for another drive keeps the words, too
+    /// ([`LoopCloser::recall`](super::LoopCloser::recall)).
+    fn keep(&mut self, slot: usize, keyframe_id: u32, words: &Signature, view: &PlaceView<'_>);
 
     /// What was kept there; `None` when it cannot be had any more.
     fn find(&mut self, slot: usize) -> Option<PlaceView<'_>>;
@@ -35,7 +36,7 @@ impl PointsInMemory<'_> {
 }
 
 impl PlacePoints for PointsInMemory<'_> {
-    fn keep(&mut self, slot: usize, view: &PlaceView<'_>) {
+    fn keep(&mut self, slot: usize, _: u32, _: &Signature, view: &PlaceView<'_>) {
         let n = view.features.len().min(view.depths.len()).min(self.points_per_place);
         let range = slot * self.points_per_place..slot * self.points_per_place + n;
         if let (Some(n_points), Some(features), Some(depths)) =

@@ -60,6 +60,11 @@ impl OdometryNoise {
     /// Ours, and loose: 1.8 degrees, 0.6 m and 6 % of the scale in a kilometre, all three as random walks.
     pub const STANDARD: Self = Self { rotation_rad: 1e-3, translation_m: 0.02, log_scale: 2e-3, min_step_m: 0.1 };
 
+    /// Information of the first step of a drive that begins nobody knows where in a known map.
+    pub fn unknown_start() -> Matrix7 {
+        information_of_sigmas(1e2, 1e6, 1.0)
+    }
+
     /// Information of a step of this length, for [`KeyframePacket`](super::KeyframePacket).
     pub fn information(&self, step_m: f64) -> Matrix7 {
         let root = libm::sqrt(step_m.max(self.min_step_m));

@@ -3,7 +3,8 @@
 use super::points::PlacePoints;
 use crate::conventions::Similarity;
 use crate::places::{
-    LoopScratch, PlaceStorage, PlaceStorageTooSmall, PlaceView, Remembered, Tally, bytes_per_point, index_bytes,
+    LoopScratch, PlaceStorage, PlaceStorageTooSmall, PlaceView, Remembered, Signature, Tally, bytes_per_point,
+    index_bytes,
 };
 use crate::pose_graph::{GraphCapacities, LoopEdge, Node, Place, SolverStorage};
 use core::fmt;
@@ -34,6 +35,9 @@ impl LoopCapacities {
     }
 }
 
+/// No keyframe: a slot that nobody uses.
+const NOBODY: u32 = u32::MAX;
+
 /// What is kept of a keyframe beside its points.
 #[derive(Clone, Copy, Debug)]
 pub struct KeptPlace {
@@ -42,7 +46,7 @@ pub struct KeptPlace {
 
 impl Default for KeptPlace {
     fn default() -> Self {
-        Self { place: Place { keyframe_id: 0, odometry_from_keyframe: Similarity::identity() } }
+        Self { place: Place { keyframe_id: NOBODY, odometry_from_keyframe: Similarity::identity() } }
     }
 }
 
@@ -129,7 +133,7 @@ pub(super) struct KeptPlaces<'m> {
 
 impl KeptPlaces<'_> {
     /// Keeps what the index has remembered, where it forgot another.
-    pub(super) fn keep(&mut self, place: &Place, view: &PlaceView<'_>, remembered: Remembered) {
+    pub(super) fn keep(&mut self, place: &Place, words: &Signature, view: &PlaceView<'_>, remembered: Remembered) {
         let slot = match remembered {
             Remembered::NotLater { .. } => return,
             Remembered::Added => {
@@ -141,7 +145,22 @@ impl KeptPlaces<'_> {
         let Some(slot) = slot else { return };
         if let Some(kept) = self.kept.get_mut(slot) {
             *kept = KeptPlace { place: *place };
-            self.points.keep(slot, view);
+            self.points.keep(slot, place.keyframe_id, words, view);
+        }
+    }
+
+    /// Knows again what a slot has kept since an earlier drive; another one's gives way, if the index says so.
+    pub(super) fn recall(&mut self, slot: usize, place: &Place, remembered: Remembered) {
+        let forgotten = match remembered {
+            Remembered::Instead { of } => self.slot(of),
+            Remembered::Added | Remembered::NotLater { .. } => None,
+        };
+        if let Some(forgotten) = forgotten.and_then(|slot| self.kept.get_mut(slot)) {
+            *forgotten = KeptPlace::default();
+        }
+        if let Some(kept) = self.kept.get_mut(slot) {
+            *kept = KeptPlace { place: *place };
+            self.n_kept = self.n_kept.max(slot + 1);
         }
     }
 

@@ -5,10 +5,10 @@ use crate::camera::Pinhole;
 use crate::conventions::{Rigid, Similarity};
 use crate::features::{Descriptor, Feature, FeatureMatch, Nearest, SimdLevel};
 use crate::math::Rng;
-use crate::math::sim3::{self, Tangent7};
+use crate::math::sim3::{self, Matrix7, Tangent7};
 use crate::places::{
-    Below, LoopScratch, PlaceSlot, PlaceStorage, PlaceView, PointDepth, Posting, Tally, Vocabulary, VocabularyNode,
-    WORDS_PER_PLACE, Word, encode_vocabulary, vocabulary_bytes,
+    Below, LoopScratch, PlaceSlot, PlaceStorage, PlaceView, PointDepth, Posting, Signature, Tally, Vocabulary,
+    VocabularyNode, WORDS_PER_PLACE, Word, encode_vocabulary, vocabulary_bytes,
 };
 use crate::pose::{Match, PointMatch};
 use crate::pose_graph::{Column, FactorBlock, GraphCapacities, Junction, LoopEdge, Node, Place, SolverStorage};
@@ -91,10 +91,16 @@ fn look(keyframe: u32, shows: u32) -> (Vec<Feature>, Vec<PointDepth>) {
     (features, depths)
 }
 
-/// Closes the loops of a drive; `shows` says which place each keyframe looks like.
-fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec<(u32, JudgedCandidate)>, f64, f64) {
+/// Calls `then` with a closer of these capacities.
+fn with_closer<T>(capacities: LoopCapacities, then: impl FnOnce(&mut LoopCloser<'_>) -> T) -> T {
     let bytes = vocabulary();
     let LoopCapacities { places, words, features, points, graph } = capacities;
+    let mut kept_points = PointsInMemory {
+        features: &mut vec![Feature::NONE; places * points],
+        depths: &mut vec![PointDepth::default(); places * points],
+        n_points: &mut vec![0; places],
+        points_per_place: points,
+    };
     let storage = LoopStorage {
         index: PlaceStorage {
             slots: &mut vec![PlaceSlot::UNUSED; places],
@@ -102,12 +108,7 @@ fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec
             first_of_word: &mut vec![0; words],
         },
         kept: &mut vec![KeptPlace::default(); places],
-        points: &mut PointsInMemory {
-            features: &mut vec![Feature::NONE; places * points],
-            depths: &mut vec![PointDepth::default(); places * points],
-            n_points: &mut vec![0; places],
-            points_per_place: points,
-        },
+        points: &mut kept_points,
         tally: &mut vec![Tally::default(); features],
         scratch: LoopScratch {
             nearest: &mut vec![Nearest::NONE; 2 * points],
@@ -127,29 +128,73 @@ fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec
     };
     let vocabulary = Vocabulary::open(&bytes).expect("a vocabulary");
     let (simd, settings) = (SimdLevel::new(), LoopSettings::STANDARD);
-    let mut closer = LoopCloser::new(simd, CAMERA, vocabulary, settings, &capacities, storage).expect("enough memory");
+    then(&mut LoopCloser::new(simd, CAMERA, vocabulary, settings, &capacities, storage).expect("enough memory"))
+}
+
+/// Shows a keyframe to the closer.
+fn observe(
+    closer: &mut LoopCloser<'_>,
+    (k, (features, depths)): (u32, (Vec<Feature>, Vec<PointDepth>)),
+    odometry_from_camera: Rigid,
+    information: Matrix7,
+) -> Vec<(u32, JudgedCandidate)> {
+    let points = PlaceView { features: &features, depths: &depths };
+    let packet = KeyframePacket { ordinal: k, odometry_from_camera, information, features: &features, points };
+    let outcome = closer.observe(&packet).expect("room");
+    outcome.candidates.into_iter().map(|judged| (k, judged)).collect()
+}
+
+/// Closes the loops of a drive; `shows` says which place each keyframe looks like.
+fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec<(u32, JudgedCandidate)>, f64, f64) {
     let odometry = odometry(n);
-    let mut judged = Vec::new();
-    for (k, odometry_from_camera) in (0..n).zip(&odometry) {
-        let (features, depths) = look(k, shows(k));
-        let outcome = closer.observe(&KeyframePacket {
-            ordinal: k,
-            odometry_from_camera: *odometry_from_camera,
-            information: OdometryNoise::STANDARD.information(3.0),
-            features: &features,
-            points: PlaceView { features: &features, depths: &depths },
-        });
-        judged.extend(outcome.expect("room").candidates.into_iter().map(|judged| (k, judged)));
-    }
-    let off = |k: u32| {
-        let odometry_from_keyframe = Similarity::from_isometry(odometry[k as usize], 1.0);
-        let place = Place { keyframe_id: k, odometry_from_keyframe };
-        let corrected = closer.world_from_keyframe(&place).expect("keyframes").isometry.translation.vector;
-        let true_place = truth(k).translation.vector;
-        [(odometry[k as usize].translation.vector - true_place).norm(), (corrected - true_place).norm()]
-    };
-    let worst = |which: usize| (0..n).map(|k| off(k)[which]).fold(0.0, f64::max);
-    (judged, worst(0), worst(1))
+    with_closer(capacities, |closer| {
+        let information = OdometryNoise::STANDARD.information(3.0);
+        let mut judged = Vec::new();
+        for (k, odometry_from_camera) in (0..n).zip(&odometry) {
+            judged.extend(observe(closer, (k, look(k, shows(k))), *odometry_from_camera, information));
+        }
+        let off = |k: u32| {
+            let odometry_from_keyframe = Similarity::from_isometry(odometry[k as usize], 1.0);
+            let place = Place { keyframe_id: k, odometry_from_keyframe };
+            let corrected = closer.world_from_keyframe(&place).expect("keyframes").isometry.translation.vector;
+            let true_place = truth(k).translation.vector;
+            [(odometry[k as usize].translation.vector - true_place).norm(), (corrected - true_place).norm()]
+        };
+        let worst = |which: usize| (0..n).map(|k| off(k)[which]).fold(0.0, f64::max);
+        (judged, worst(0), worst(1))
+    })
+}
+
+/// A round that is known from an earlier drive, and a drive of ten keyframes that begins where `from` was without knowing it:
+/// the candidates, and how far off the last keyframe is.
+fn resume(from: u32) -> (Vec<(u32, JudgedCandidate)>, f64) {
+    with_closer(CAPACITIES, |closer| {
+        let mut words = Vec::new();
+        let bytes = vocabulary();
+        let vocabulary = Vocabulary::open(&bytes).expect("a vocabulary");
+        for k in 0..ROUND {
+            let (features, depths) = look(0, k);
+            let signature = Signature::of(&vocabulary, &features, &mut vec![Tally::default(); features.len()]);
+            let view = PlaceView { features: &features, depths: &depths };
+            closer.kept_points().keep(k as usize, k, &signature, &view);
+            words.push(signature);
+        }
+        for (k, words) in (0..ROUND).zip(&words) {
+            let place = Place { keyframe_id: k, odometry_from_keyframe: Similarity::from_isometry(truth(k), 1.0) };
+            let information = OdometryNoise::STANDARD.information(3.0);
+            closer.recall(k as usize, &place, words, &information).expect("room");
+        }
+        let mut judged = Vec::new();
+        let start = truth(from).inverse();
+        for k in from..from + 10 {
+            let information =
+                if k == from { OdometryNoise::unknown_start() } else { OdometryNoise::STANDARD.information(3.0) };
+            judged.extend(observe(closer, (ROUND + k, look(0, k)), start * truth(k), information));
+        }
+        let last = Similarity::from_isometry(start * truth(from + 9), 1.0);
+        let found = (closer.map_from_odometry() * last).isometry.translation.vector;
+        (judged, (found - truth(from + 9).translation.vector).norm())
+    })
 }
 
 fn count(judged: &[(u32, JudgedCandidate)], is_counted: impl Fn(LoopDecision) -> bool) -> usize {
@@ -182,6 +227,15 @@ fn a_place_that_only_looks_the_same_moves_nothing() {
     );
     assert_eq!(count(&judged, |d| d == LoopDecision::Accepted), 0);
     assert!((before_m - after_m).abs() < 1e-9, "{before_m} m before, {after_m} m after");
+}
+
+#[test]
+fn a_drive_that_begins_anywhere_in_a_known_round_is_found_there() {
+    let (judged, off_m) = resume(20);
+    let accepted: Vec<_> = judged.iter().filter(|(_, j)| j.decision == LoopDecision::Accepted).collect();
+    let first = accepted.first().expect("it is found");
+    assert_eq!((first.0, first.1.candidate.ordinal), (ROUND + 22, 22), "the third keyframe in a row decides");
+    assert!(off_m < 0.3, "{off_m} m off");
 }
 
 #[test]

@@ -63,12 +63,14 @@ pub struct PlaceRecognizer<'m> {
     settings: RecognizerSettings,
     /// Candidates of the keyframe before.
     earlier: Candidates,
+    /// Keyframes below are of earlier drives: candidates, however few keyframes have passed.
+    first_of_drive: u32,
 }
 
 impl<'m> PlaceRecognizer<'m> {
     /// A recognizer that goes on from what is in `index`.
     pub fn new(index: PlaceIndex<'m>, settings: RecognizerSettings) -> Self {
-        Self { index, settings, earlier: Vec::new() }
+        Self { index, settings, earlier: Vec::new(), first_of_drive: 0 }
     }
 
     /// The keyframes that are remembered.
@@ -86,7 +88,9 @@ impl<'m> PlaceRecognizer<'m> {
     /// Galvez-Lopez & Tardos 2012, sec. V.A to V.C (normalized score, islands, temporal consistency). Differs: several
     /// places are followed at once.
     pub fn observe(&mut self, ordinal: u32, view: &Signature) -> (Candidates, Remembered) {
-        let found = match ordinal.checked_sub(self.settings.min_gap_keyframes) {
+        let of_this_drive = ordinal.checked_sub(self.settings.min_gap_keyframes);
+        let of_earlier_drives = self.first_of_drive.checked_sub(1).filter(|last| *last < ordinal);
+        let found = match of_this_drive.max(of_earlier_drives) {
             Some(last) => {
                 let expected = self.index.like_newest(view).map_or(0, |hit| hit.score);
                 self.candidates(view, last, expected)
@@ -95,6 +99,12 @@ impl<'m> PlaceRecognizer<'m> {
         };
         self.earlier = found;
         (self.earlier.clone(), self.index.remember(ordinal, view))
+    }
+
+    /// Remembers a keyframe of an earlier drive.
+    pub fn recall(&mut self, ordinal: u32, view: &Signature) -> Remembered {
+        self.first_of_drive = ordinal.saturating_add(1);
+        self.index.remember(ordinal, view)
     }
 
     /// Places that a view may show of which nothing is known: after tracking was lost, or in a stored map.

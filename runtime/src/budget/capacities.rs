@@ -58,6 +58,7 @@ impl Budget {
             keyframe_rows: self.capacity(Row::MapKeyframes),
             chunk_rows: self.capacity(Row::MapChunks),
             pages: self.capacity(Row::MapPages),
+            alignment_steps: self.capacity(Row::LoopsKeyframes),
             returning_files: self.capacity(Row::StoreReturningPages),
         }
     }

@@ -66,6 +66,11 @@ impl Alignment {
         self.at(u32::MAX)
     }
 
+    /// Takes over what another one says; takes memory only where there is too little.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.steps.clone_from(&other.steps);
+    }
+
     /// Takes over what is said about earlier keyframes; the drive that begins with `first_keyframe_id` has not moved.
     pub fn go_on_after(&mut self, earlier: &Self, first_keyframe_id: u32) {
         self.steps.clone_from(&earlier.steps);

@@ -36,6 +36,8 @@ pub struct MapperCapacity {
     pub chunk_rows: usize,
     /// Pages (of [`PAGE_KEYFRAMES`](super::PAGE_KEYFRAMES) keyframes) that are in memory or can come back.
     pub pages: usize,
+    /// Keyframes that loops move, each on its own.
+    pub alignment_steps: usize,
     /// Files on their way back; at least 2, or none comes back.
     pub returning_files: usize,
 }

@@ -89,6 +89,13 @@ impl KeyframeImages {
         true
     }
 
+    /// Moves the keyframes whose images are there.
+    pub fn move_keyframes(&mut self, moved: impl Fn(u32, &Rigid) -> Rigid) {
+        for keyframe in self.kept.iter_mut().flatten() {
+            keyframe.world_from_camera = moved(keyframe.ordinal, &keyframe.world_from_camera);
+        }
+    }
+
     /// Keyframes whose images are there.
     pub fn len(&self) -> usize {
         self.n_pushed.min(self.kept.len())

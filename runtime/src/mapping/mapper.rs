@@ -12,7 +12,7 @@ use super::scratch::{ImageScratch, NO_GAUSSIAN, Staging};
 use super::settings::MapperSettings;
 use super::shrink::mapping_camera;
 use super::sink::PageSink;
-use crate::map_store::{MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
+use crate::map_store::{Alignment, MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
 use crate::splat::{BACKGROUND_TEXELS, Exposure, GaussianParams, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
@@ -169,6 +169,7 @@ pub struct Mapper {
     pub(super) quota: GaussianQuota,
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
+    pub(super) alignment: Alignment,
     pub(super) counters: MapCounters,
     pub(super) list_load: ListLoad,
 }
@@ -203,6 +204,7 @@ impl Mapper {
             quota: GaussianQuota::new(settings.gaussians_per_m, RouteMeasure::new(settings.first_view_m, native)),
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
+            alignment: Alignment::with_capacity(capacity.alignment_steps),
             counters: MapCounters::default(),
             list_load: ListLoad::default(),
         }

@@ -20,6 +20,7 @@ mod optimize;
 mod pages;
 mod paging;
 mod prune;
+mod realign;
 mod scratch;
 mod resume;
 mod settings;

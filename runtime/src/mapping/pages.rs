@@ -1,8 +1,9 @@
 //! The page directory: where the keyframes of each page are, what is in memory of them, and what is on disk.
 
 use super::mapper::CHUNK_KEYFRAMES;
+use super::realign::moved_placement;
 use crate::splat::KeyframePlacement;
-use kilogs_core::conventions::Rigid;
+use kilogs_core::conventions::{Rigid, Similarity};
 use nalgebra::{Point3, Vector3};
 
 /// Consecutive keyframes whose anchors leave and come back together.
@@ -114,6 +115,14 @@ impl PageGroup {
     /// Newest of its keyframes.
     pub(super) fn last_ordinal(&self) -> u32 {
         self.group * PAGE_KEYFRAMES + self.placed.checked_ilog2().unwrap_or(0)
+    }
+
+    /// Moves each of its keyframes.
+    pub(super) fn move_keyframes(&mut self, moved: impl Fn(u32) -> Similarity) {
+        let ordinals = self.group * PAGE_KEYFRAMES..;
+        for (ordinal, placement) in ordinals.zip(&mut self.placements) {
+            *placement = moved_placement(&moved(ordinal), placement);
+        }
     }
 
     fn place(&mut self, ordinal: u32, placement: &KeyframePlacement) {
@@ -296,7 +305,7 @@ impl PageDirectory {
     }
 }
 
-/// Where a keyframe is, before any loop closure scaled it.
+/// Where a keyframe is as it is mapped: its metres are the map's.
 pub(super) fn placement_of(world_from_camera: &Rigid) -> KeyframePlacement {
     KeyframePlacement {
         rotation: world_from_camera.rotation,

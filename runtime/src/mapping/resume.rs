@@ -2,15 +2,16 @@
 
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
 use super::pages::{PAGE_KEYFRAMES, group_and_part};
-use crate::map_store::MapStoreReader;
+use crate::map_store::{Alignment, MapStoreReader};
 use crate::splat::KeyframePlacement;
 use kilogs_core::conventions::rotation_from_xyzw;
 use nalgebra::Vector3;
 
 impl Mapper {
     /// Makes the pages of `map` known to an empty mapper: they come back when the vehicle is near. The next chunk begins
-    /// with the decoder of the last one.
-    pub fn resume(&mut self, map: &MapStoreReader) {
+    /// with the decoder of the last one. `alignment` is how the map's keyframes had moved when it was opened.
+    pub fn resume(&mut self, map: &MapStoreReader, alignment: &Alignment) {
+        self.alignment.copy_from(alignment);
         for keyframe in map.keyframes() {
             let placement = KeyframePlacement {
                 rotation: rotation_from_xyzw(keyframe.rotation_xyzw),

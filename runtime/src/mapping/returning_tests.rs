@@ -1,7 +1,7 @@
 //! How pages come back when a street is driven again: whole, in time, and without making the map grow.
 
 use super::*;
-use crate::map_store::StoredFile;
+use crate::map_store::{Alignment, StoredFile};
 use crate::map_store::{MapStoreReader, StoreImage};
 use crate::splat::{LearningRates, StepSettings};
 use kilogs_core::store::{StoredKeyframe, decode_chunk};
@@ -238,7 +238,7 @@ fn a_drive_goes_on_in_a_map_whose_writing_was_killed() {
     }
     let store = MapStoreWriter::resume(&map, &MANIFEST, &settings).expect("a map to go on with");
     let mut second = Drive { mapper: mapper_of(1, ROOMY, self::settings(true)), store, brings: true };
-    second.mapper.resume(&map);
+    second.mapper.resume(&map, &Alignment::default());
     for ordinal in 0..ONE_WAY {
         second.keyframe(next + ordinal, ONE_WAY - 1 - ordinal);
         if ordinal == 0 {

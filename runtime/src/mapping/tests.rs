@@ -38,6 +38,7 @@ const CAPACITY: MapperCapacity = MapperCapacity {
     keyframe_rows: 64,
     chunk_rows: 2,
     pages: 64,
+    alignment_steps: 64,
     returning_files: 3,
 };
 
@@ -259,6 +260,9 @@ mod leaving;
 
 #[path = "returning_tests.rs"]
 mod returning;
+
+#[path = "realigning_tests.rs"]
+mod realigning;
 
 #[test]
 fn a_full_pool_refuses_and_says_how_often() {

@@ -1,5 +1,6 @@
 //! The mapping thread: keyframes in, training steps in the time left, pages and images to the store.
 
+use super::loops::SharedAlignment;
 use super::mapper_link::{Job, MapperLink};
 use super::memory;
 use super::plan::{Pace, RunPlan};
@@ -12,7 +13,7 @@ use crate::mapping::{CHUNK_KEYFRAMES, KeyframePacket, MapCounters, Mapper, Mappi
 use crate::output::Stage;
 use crate::run_error::RunError;
 use crate::seal;
-use kilogs_core::conventions::quaternion_xyzw;
+use kilogs_core::conventions::{Rigid, Similarity, quaternion_xyzw};
 use kilogs_core::frame::PixelFormat;
 use kilogs_core::store::StoredKeyframe;
 use kilogs_core::tracking::FrameReport;
@@ -47,6 +48,7 @@ pub struct MappingWork {
     has_warned_of_steps: bool,
     training: Duration,
     resume: Option<Resume>,
+    alignment: SharedAlignment,
 }
 
 /// How far mapping is, for whoever looks while it goes on.
@@ -85,6 +87,7 @@ pub fn prepare(
     plan: &RunPlan,
     usage: &Arc<Usage>,
     progress: &Arc<MappingProgress>,
+    alignment: &SharedAlignment,
 ) -> Result<Option<(MapperLink, MappingWork)>, RunError> {
     if !plan.settings.mapping.enabled {
         return Ok(None);
@@ -98,7 +101,7 @@ pub fn prepare(
         Some(resume) => {
             let map = MapStoreReader::open(&resume.map, max_views)?;
             let store = MapStoreWriter::resume(&map, &manifest, &settings)?;
-            mapper.resume(&map);
+            mapper.resume(&map, &alignment.lock());
             let views = || map.keyframes().iter().chain(map.held_out());
             views().filter(|view| view.image_bytes > 0).for_each(|view| pictures.remember(view));
             (store, views().count())
@@ -123,6 +126,7 @@ pub fn prepare(
         has_warned_of_steps: false,
         training: Duration::ZERO,
         resume: plan.resume.clone(),
+        alignment: alignment.clone(),
     };
     Ok(Some((link, work)))
 }
@@ -166,10 +170,20 @@ impl MappingWork {
 
     /// One keyframe or held-out view; whether the map learnt from it.
     fn job(&mut self, job: &mut Job) -> bool {
-        let Some(report) = job.report else { return false };
-        let report = self.resume.as_ref().map_or(report, |resume| resume.in_map(&report));
+        let Some(unaligned) = job.report else { return false };
+        let unaligned = self.resume.as_ref().map_or(unaligned, |resume| resume.in_map(&unaligned));
         let started = Instant::now();
-        self.store_view(job, &report);
+        if !job.is_held_out {
+            // In lock-step nothing moves between two keyframes: whatever was to, has.
+            let alignment = self.alignment.lock();
+            if *alignment != *self.mapper.alignment() {
+                self.mapper.realign(&alignment);
+            }
+        }
+        let report = self.align(&unaligned, job);
+        job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
+        let started = Instant::now();
+        self.store_view(job, &unaligned, &report.world_from_camera);
         job.times.add(Stage::Store, milliseconds(started.elapsed()));
         if job.is_held_out {
             return false;
@@ -198,6 +212,20 @@ impl MappingWork {
             job.times.add(Stage::Mapping, milliseconds(started.elapsed()));
         }
         true
+    }
+
+    /// A view where loops have put it by now, with what hangs on it in metres of the map.
+    fn align(&self, unaligned: &FrameReport, job: &mut Job) -> FrameReport {
+        let moved = self.mapper.alignment().at(unaligned.keyframe_ordinal);
+        let scale = moved.scaling();
+        for point in &mut job.points {
+            point.depth_m *= scale as f32;
+        }
+        if let Some(road) = &mut job.road {
+            road.height_m *= scale;
+        }
+        let map_from_camera = moved * Similarity::from_isometry(unaligned.world_from_camera, 1.0);
+        FrameReport { world_from_camera: map_from_camera.isometry, ..*unaligned }
     }
 
     /// Notes how full the map's containers are after a keyframe.
@@ -232,22 +260,30 @@ impl MappingWork {
         self.training += started.elapsed();
     }
 
-    fn store_view(&mut self, job: &Job, report: &FrameReport) {
-        let map_from_camera = &report.world_from_camera;
+    /// Stores a view as it was seen: the alignment beside the log says that it is at `map_from_camera` by now.
+    fn store_view(&mut self, job: &Job, report: &FrameReport, map_from_camera: &Rigid) {
+        let unaligned = &report.world_from_camera;
+        // What it spawns is in metres of the map as it is now.
+        let scale = self.mapper.alignment().at(report.keyframe_ordinal).scaling().recip();
         let keyframe = StoredKeyframe {
             keyframe_id: report.keyframe_ordinal,
             chunk_id: report.keyframe_ordinal / CHUNK_KEYFRAMES,
             frame_index: report.frame_index,
             timestamp_ns: report.timestamp_ns,
-            rotation_xyzw: quaternion_xyzw(&map_from_camera.rotation),
-            translation_m: map_from_camera.translation.vector.into(),
-            scale: 1.0,
+            rotation_xyzw: quaternion_xyzw(&unaligned.rotation),
+            translation_m: unaligned.translation.vector.into(),
+            scale,
             is_held_out: job.is_held_out,
             image_bytes: 0,
             image_crc: 0,
         };
         let image = StoreImage { pixels: &job.pixels, stride_bytes: self.row_bytes };
-        let has_picture = self.pictures.admits(&keyframe);
+        let seen_from = StoredKeyframe {
+            rotation_xyzw: quaternion_xyzw(&map_from_camera.rotation),
+            translation_m: map_from_camera.translation.vector.into(),
+            ..keyframe
+        };
+        let has_picture = self.pictures.admits(&seen_from);
         self.n_views += usize::from(has_picture || !job.is_held_out);
         if self.n_views > self.max_views {
             self.usage.refuse(Row::StoreKeyframeTable, 1);
@@ -256,7 +292,7 @@ impl MappingWork {
             return self.log_place(&keyframe);
         }
         match self.store.write_keyframe(&keyframe, image) {
-            Ok(()) => self.pictures.remember(&keyframe),
+            Ok(()) => self.pictures.remember(&seen_from),
             Err(WriteRefusal::Busy) => {
                 self.n_images_left_out += 1;
                 self.usage.refuse(Row::StoreImageQueue, 1);

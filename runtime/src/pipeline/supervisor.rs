@@ -64,12 +64,12 @@ pub fn supervise(
     let tracker = memory::tracker(plan)?;
     let matchers = Matchers::open(plan)?;
     let progress = Arc::new(MappingProgress::default());
+    let alignment = SharedAlignment::new(loops::alignment_before(plan)?);
     let spawn_failed = |e: std::io::Error| RunError::Run(format!("starting a thread: {e}"));
-    let prepare = || mapping_thread::prepare(plan, &usage, &progress);
+    let prepare = || mapping_thread::prepare(plan, &usage, &progress, &alignment);
     // In lock-step tracking waits for mapping anyway.
     let mapping = if plan.is_live() { behind(prepare).map_err(spawn_failed)?? } else { prepare()? };
     let (mapper_link, mapping_work) = mapping.map_or((None, None), |(link, work)| (Some(link), Some(work)));
-    let alignment = SharedAlignment::new(loops::alignment_before(plan)?);
     let closing = loops::prepare(plan, &usage, &alignment)?;
     let (loop_link, loop_work) = closing.map_or((None, None), |(link, work)| (Some(link), Some(work)));
     let settings = InputSettings {

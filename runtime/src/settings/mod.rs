@@ -111,7 +111,7 @@ impl Settings {
             mapping: MappingSettings { enabled: true, mapper: MapperSettings::measured(0, 0.5) },
             lifecycle: LifecycleSettings::MEASURED,
             loop_closure: LoopClosureSettings {
-                enabled: false,
+                enabled: true,
                 vocabulary: PathBuf::new(),
                 closer: LoopSettings::STANDARD,
                 noise: OdometryNoise::STANDARD,

@@ -2,6 +2,7 @@
 
 use crate::program::{kilogs_succeeds, word};
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -16,12 +17,25 @@ pub struct Drive {
 impl Drive {
     /// Simulates a drive.
     pub fn new(length_m: f64) -> Self {
+        Self::simulated(&["--length", &length_m.to_string()])
+    }
+
+    /// Simulates a drive to the right around a square block of `side_m` with round corners, `length_m` long; `step_m` from
+    /// frame to frame.
+    pub fn around_a_block(side_m: f64, length_m: f64, step_m: f64) -> Self {
+        let poses = tempfile::NamedTempFile::new().expect("a file");
+        let n_frames = (length_m / step_m) as usize;
+        let lines = (0..n_frames).map(|frame| line_of_block(side_m, frame as f64 * step_m));
+        std::fs::write(poses.path(), lines.collect::<String>()).expect("written");
+        Self::simulated(&["--path", &word(poses.path())])
+    }
+
+    fn simulated(what: &[&str]) -> Self {
         let drive = Self { folder: tempfile::tempdir().expect("a folder") };
         let [width, height] = SIZE.map(|side| side.to_string());
-        let length = length_m.to_string();
         let folder = word(drive.path());
-        let size = ["--length", &length, "--width", &width, "--height", &height, "--quiet"];
-        kilogs_succeeds(["camera", "sim", "--write", &folder].iter().chain(&size));
+        let size = ["--width", &width, "--height", &height, "--quiet", "--write", &folder];
+        kilogs_succeeds(["camera", "sim"].iter().chain(what).chain(&size));
         drive
     }
 
@@ -70,6 +84,32 @@ impl Drive {
         write(&path, text.into_bytes());
         path
     }
+}
+
+/// Radius of a block's corners, m.
+const CORNER_M: f64 = 10.0;
+
+/// KITTI pose of the place `along_m` from the middle of one side of a block.
+fn line_of_block(side_m: f64, along_m: f64) -> String {
+    let (straight_m, corner_m) = (side_m - 2.0 * CORNER_M, CORNER_M * FRAC_PI_2);
+    let (mut x, mut z, mut heading_rad) = (0.0, -0.5 * straight_m, 0.0_f64);
+    let mut left_m = along_m + 0.5 * straight_m;
+    loop {
+        let (sin, cos) = heading_rad.sin_cos();
+        let driven_m = left_m.min(straight_m);
+        (x, z) = (x + driven_m * sin, z + driven_m * cos);
+        left_m -= driven_m;
+        let turned_rad = left_m.min(corner_m) / CORNER_M;
+        let (middle_x, middle_z) = (x + CORNER_M * cos, z - CORNER_M * sin);
+        heading_rad += turned_rad;
+        (x, z) = (middle_x - CORNER_M * heading_rad.cos(), middle_z + CORNER_M * heading_rad.sin());
+        left_m -= CORNER_M * turned_rad;
+        if left_m <= 0.0 {
+            break;
+        }
+    }
+    let (sin, cos) = heading_rad.sin_cos();
+    format!("{cos} 0 {sin} {x} 0 1 0 0 {} 0 {cos} {z}\n", -sin)
 }
 
 /// Every file below `folder` with its content, by its path in there.

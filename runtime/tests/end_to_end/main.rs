@@ -13,3 +13,4 @@ mod replay;
 
 mod interruption;
 mod live;
+mod loops;

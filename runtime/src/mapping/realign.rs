@@ -1,0 +1,99 @@
+//! Moving the map in memory to where loops have put its keyframes.
+//!
+//! Anchors are relative to the keyframes that spawned them, so the keyframes are all that moves: in the page directory, in
+//! the backend's table, and as views to train on. Then every anchor is looked up in the voxel it is in by now. Neighbours
+//! move together, so nearly every voxel still has one anchor; two of them may share one. Where a street is seen twice, the
+//! anchor of the later drive ends.
+
+use super::mapper::Mapper;
+use super::pages::{PAGE_KEYFRAMES, point_in_map};
+use crate::map_store::Alignment;
+use crate::splat::KeyframePlacement;
+use kilogs_core::conventions::{Rigid, Similarity};
+use kilogs_core::map::voxel::VoxelKey;
+use nalgebra::{Translation3, Vector3};
+
+/// Keyframes so far apart are of two drives along a street.
+const OTHER_DRIVE_KEYFRAMES: u32 = 50;
+
+impl Mapper {
+    /// How loops had moved keyframes when they were asked last: packets have to be where that puts them.
+    pub fn alignment(&self) -> &Alignment {
+        &self.alignment
+    }
+
+    /// Moves everything in memory from where the last alignment put it to where this one does.
+    pub fn realign(&mut self, alignment: &Alignment) {
+        let Self { alignment: before, paging, images, .. } = self;
+        let moved = |ordinal: u32| alignment.at(ordinal) * before.at(ordinal).inverse();
+        paging.directory.iter_mut().for_each(|group| group.move_keyframes(moved));
+        images.move_keyframes(|ordinal, world_from_camera| {
+            (moved(ordinal) * Similarity::from_isometry(*world_from_camera, 1.0)).isometry
+        });
+        before.copy_from(alignment);
+        for group in self.paging.directory.resident() {
+            for (ordinal, placement) in group.keyframes() {
+                if let Some(row) = self.paging.keyframe_rows.row(ordinal) {
+                    self.backend.set_keyframes(row, &[*placement]);
+                }
+            }
+        }
+        self.revoxelize();
+    }
+
+    /// Looks up the voxel of every anchor anew, batch by batch.
+    fn revoxelize(&mut self) {
+        self.grid.clear();
+        let mut next_slot = Some(0);
+        while let Some(first_slot) = next_slot {
+            next_slot = self.stage(first_slot, |_| true);
+            self.read_staged();
+            // Those that end stand in front.
+            let mut n_ending = 0;
+            for nth in 0..self.staging.slots.len() {
+                let slot = self.staging.slots[nth];
+                let in_keyframe_m = Vector3::from(self.staging.headers[nth].position_in_keyframe_m).cast::<f64>();
+                if self.settle(slot, in_keyframe_m) {
+                    self.staging.slots.swap(n_ending, nth);
+                    n_ending += 1;
+                }
+            }
+            self.counters.anchors_merged += n_ending as u64;
+            self.forget(0..n_ending);
+        }
+        self.staging.clear();
+    }
+
+    /// Puts an anchor into the voxel that it is in; whether it has to end, because another drive's is there.
+    fn settle(&mut self, slot: u32, in_keyframe_m: Vector3<f64>) -> bool {
+        let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.get_mut(handle)) else { return false };
+        let group = self.paging.directory.get(record.keyframe_ordinal / PAGE_KEYFRAMES);
+        let Some(placement) = group.and_then(|group| group.placement(record.keyframe_ordinal)) else { return false };
+        let in_map_m = point_in_map(placement, in_keyframe_m);
+        let Some(voxel) = VoxelKey::containing(record.voxel.level(), in_map_m) else { return false };
+        record.voxel = voxel;
+        let ordinal = record.keyframe_ordinal;
+        match self.grid.get(voxel) {
+            None => {
+                // There was room for it before.
+                let _ = self.grid.insert(voxel, slot);
+                false
+            }
+            Some(other) => {
+                let other = self.pool.handle_at(other).and_then(|handle| self.pool.get(handle));
+                other.is_some_and(|other| other.keyframe_ordinal.abs_diff(ordinal) >= OTHER_DRIVE_KEYFRAMES)
+            }
+        }
+    }
+}
+
+/// A placement that was moved.
+pub(super) fn moved_placement(moved: &Similarity, placement: &KeyframePlacement) -> KeyframePlacement {
+    let isometry = Rigid::from_parts(Translation3::from(placement.translation_m), placement.rotation);
+    let moved = moved * Similarity::from_isometry(isometry, placement.scale);
+    KeyframePlacement {
+        rotation: moved.isometry.rotation,
+        translation_m: moved.isometry.translation.vector,
+        scale: moved.scaling(),
+    }
+}

@@ -1,0 +1,109 @@
+//! How the map in memory follows what loops say.
+
+use super::*;
+use crate::map_store::Alignment;
+use crate::splat::LearningRates;
+use kilogs_core::conventions::Similarity;
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+const N_KEYFRAMES: u32 = 6;
+
+/// A correction as a loop makes it.
+fn correction() -> Similarity {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.002, 0.02, -0.001));
+    Similarity::from_isometry(Rigid::from_parts(Translation3::new(1.3, -0.1, -2.2), turn), 0.97)
+}
+
+fn moved_rigidly(pose: &Rigid) -> Rigid {
+    (correction() * Similarity::from_isometry(*pose, 1.0)).isometry
+}
+
+/// A mapper that has driven a few keyframes.
+fn driven() -> Mapper {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    for ordinal in 0..N_KEYFRAMES {
+        let pixels = picture(STEP_M * f64::from(ordinal));
+        mapper.insert_keyframe(&packet(ordinal, &pixels), &mut sink).expect("a usable keyframe");
+        mapper.optimize(4);
+    }
+    mapper
+}
+
+/// A correction of everything from a keyframe on.
+fn from(first_keyframe_id: u32) -> Alignment {
+    let mut alignment = Alignment::default();
+    alignment.push(first_keyframe_id, correction());
+    alignment
+}
+
+/// PSNR of the keyframes where they stand, before any of them is trained.
+fn psnr_db(mapper: &mut Mapper) -> f32 {
+    let step = mapper.settings.step;
+    mapper.settings.step.rates = LearningRates::FROZEN;
+    let report = mapper.optimize(12);
+    mapper.settings.step = step;
+    report.mean_psnr_db
+}
+
+#[test]
+fn a_map_that_moves_as_a_whole_looks_the_same_and_goes_on_where_it_was() {
+    let [mut still, mut moved] = [driven(), driven()];
+    moved.realign(&from(0));
+    assert_eq!(moved.n_resident_anchors(), still.n_resident_anchors(), "neighbors never end each other");
+    let [before_db, after_db] = [&mut still, &mut moved].map(psnr_db);
+    // The sky does not turn with the map.
+    assert!((before_db - after_db).abs() < 0.25, "{before_db} dB became {after_db} dB");
+    let newest = moved.images.newest(0).expect("a keyframe").keyframe.world_from_camera;
+    let expected = moved_rigidly(&packet(N_KEYFRAMES - 1, &[]).world_from_camera);
+    assert!((newest.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-9, "{newest}");
+    // The next keyframe finds the street where it is by now, and asks for as little as if nothing had moved.
+    let pixels = picture(STEP_M * f64::from(N_KEYFRAMES));
+    let next = packet(N_KEYFRAMES, &pixels);
+    let next_moved = KeyframePacket { world_from_camera: moved_rigidly(&next.world_from_camera), ..next };
+    let sink = &mut MemorySink::default();
+    let [n_still, n_moved, n_left_behind] =
+        [(&mut still, &next), (&mut moved, &next_moved), (&mut driven(), &next_moved)]
+            .map(|(mapper, packet)| mapper.insert_keyframe(packet, sink).expect("a usable keyframe").n_anchors);
+    assert!(n_moved.abs_diff(n_still) < n_still / 5, "{n_still} new anchors became {n_moved}");
+    assert!(n_left_behind > n_still + n_still / 4, "{n_left_behind} new anchors where the map was left behind");
+}
+
+#[test]
+fn what_was_moved_twice_is_where_the_second_time_puts_it_and_back_is_back() {
+    let mut mapper = driven();
+    let cells = |mapper: &Mapper| mapper.pool.iter().map(|(_, record)| record.voxel).collect::<Vec<_>>();
+    let before = cells(&mapper);
+    mapper.realign(&from(3));
+    let once = cells(&mapper);
+    assert_ne!(before, once);
+    mapper.realign(&from(0));
+    assert_ne!(once, cells(&mapper));
+    mapper.realign(&Alignment::default());
+    let n_elsewhere = before.iter().zip(cells(&mapper)).filter(|(before, after)| *before != after).count();
+    assert_eq!(n_elsewhere, 0, "of {}", before.len());
+}
+
+#[test]
+fn the_later_of_two_drives_gives_way_where_both_are_in_one_place() {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    // Keyframes 60 to 65 see the street of 0 to 5 again, and odometry puts them 20 m aside.
+    let aside = Rigid::translation(20.0, 0.0, 0.0);
+    for ordinal in (0..6).chain(60..66) {
+        let z_m = STEP_M * f64::from(ordinal % 60);
+        let pixels = picture(z_m);
+        let street = Rigid::translation(0.0, 0.0, z_m);
+        let world_from_camera = if ordinal < 60 { street } else { aside * street };
+        let seen = KeyframePacket { world_from_camera, ..packet(ordinal, &pixels) };
+        mapper.insert_keyframe(&seen, &mut sink).expect("a usable keyframe");
+        mapper.optimize(2);
+    }
+    let before = mapper.n_resident_anchors();
+    let mut alignment = Alignment::default();
+    alignment.push(60, Similarity::from_isometry(aside.inverse(), 1.0));
+    mapper.realign(&alignment);
+    let merged = mapper.counters().anchors_merged;
+    assert_eq!(u64::from(before - mapper.n_resident_anchors()), merged);
+    assert!(merged > u64::from(before) / 4, "{merged} of {before} anchors were of the same voxels");
+    assert_eq!(mapper.pool.n_live(), mapper.n_resident_anchors());
+    assert_eq!(mapper.grid.len() as u32, mapper.n_resident_anchors(), "one voxel, one anchor");
+}
