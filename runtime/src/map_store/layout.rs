@@ -8,10 +8,16 @@ use std::path::{Path, PathBuf};
 pub(super) const MANIFEST: &str = "manifest.kgs";
 pub(super) const KEYFRAMES: &str = "keyframes.kgs";
 pub(super) const ALIGNMENT: &str = "alignment.kgs";
+const PLACES: &str = "places.kgs";
 pub(super) const PAGES: &str = "pages";
 pub(super) const CHUNKS: &str = "chunks";
 pub(super) const IMAGES: &str = "images";
 const TEMPORARY: &str = "tmp";
+
+/// The places by which the map of a folder is recognized.
+pub fn places_path(folder: &Path) -> PathBuf {
+    folder.join(PLACES)
+}
 
 pub(super) fn page_path(folder: &Path, page_id: u32) -> PathBuf {
     folder.join(PAGES).join(format!("{page_id:08}.kgs"))
@@ -34,7 +40,7 @@ pub(super) fn prepare(folder: &Path) -> Result<(), StoreError> {
     if !is_map && entries.next().is_some() {
         return Err(StoreError::Occupied { path: folder.to_owned() });
     }
-    for name in [KEYFRAMES, ALIGNMENT, MANIFEST] {
+    for name in [KEYFRAMES, ALIGNMENT, PLACES, MANIFEST] {
         let path = folder.join(name);
         if path.exists() {
             fs::remove_file(&path).map_err(|e| StoreError::write("removing the old", &path, e))?;

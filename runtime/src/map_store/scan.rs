@@ -178,7 +178,8 @@ pub(super) fn bytes(folder: &Path) -> Result<StoreBytes, StoreError> {
         fs::metadata(&path).map(|data| data.len()).map_err(|e| StoreError::read("opening", &path, e))
     };
     let map_bytes = in_folder(layout::PAGES)? + in_folder(layout::CHUNKS)?;
-    let alignment = fs::metadata(folder.join(layout::ALIGNMENT)).map_or(0, |data| data.len());
-    let rest = in_folder(layout::IMAGES)? + of_file(layout::KEYFRAMES)? + of_file(layout::MANIFEST)? + alignment;
+    let optional = [folder.join(layout::ALIGNMENT), layout::places_path(folder)];
+    let optional: u64 = optional.iter().map(|path| fs::metadata(path).map_or(0, |data| data.len())).sum();
+    let rest = in_folder(layout::IMAGES)? + of_file(layout::KEYFRAMES)? + of_file(layout::MANIFEST)? + optional;
     Ok(StoreBytes { map_bytes, store_bytes: map_bytes + rest })
 }

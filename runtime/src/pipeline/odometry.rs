@@ -25,8 +25,14 @@ pub fn publish(frames: &Receiver<FrameReport>, plan: &RunPlan, alignment: &Share
     let begins_at = Similarity::from_isometry(plan.map_from_odometry(), 1.0);
     let mut followed = MapAlignment::new(begins_at, plan.settings.loop_closure.alignment);
     let mut stream = OdometryStream::open()?;
+    let mut was_located = alignment.is_located();
     while let Some(report) = frames.pop() {
         let wanted = alignment.lock().newest() * begins_at;
+        if alignment.is_located() != was_located {
+            // Until now it meant nothing.
+            was_located = true;
+            followed = MapAlignment::new(wanted, plan.settings.loop_closure.alignment);
+        }
         let map_from_odometry = followed.follow(&wanted, &report.world_from_camera);
         stream.publish(&report, &map_from_odometry);
     }

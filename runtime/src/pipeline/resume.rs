@@ -17,6 +17,8 @@ pub struct Resume {
     pub map: PathBuf,
     /// Where the odometry begins.
     pub map_from_odometry: Rigid,
+    /// Somebody said where it begins.
+    pub is_pose_given: bool,
     /// Id of the first keyframe.
     pub first_keyframe_id: u32,
     /// Index of the first frame, so that images have names of their own.
@@ -48,6 +50,7 @@ impl Resume {
             // Every eighth frame judges the map, counted from its first.
             first_frame_index: n_frames.next_multiple_of(HELD_OUT_PERIOD),
             map_from_odometry,
+            is_pose_given: map_from_camera.is_some(),
             map,
         })
     }
@@ -63,7 +66,8 @@ impl Resume {
     }
 }
 
-fn map_from_keyframe(keyframe: &StoredKeyframe) -> Rigid {
+/// Where a stored keyframe is.
+pub fn map_from_keyframe(keyframe: &StoredKeyframe) -> Rigid {
     let translation_m = Vector3::from(keyframe.translation_m);
     Rigid::from_parts(Translation3::from(translation_m), rotation_from_xyzw(keyframe.rotation_xyzw))
 }

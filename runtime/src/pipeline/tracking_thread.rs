@@ -171,7 +171,8 @@ impl TrackingThread<'_> {
         times: &mut StageTimes,
     ) {
         let Some(link) = &mut self.mapper else { return };
-        if report.status != FrameStatus::Tracked {
+        let is_lost_in_the_map = self.loops.as_ref().is_some_and(|loops| !loops.is_located());
+        if report.status != FrameStatus::Tracked || is_lost_in_the_map {
             return;
         }
         let is_held_out = state.held_out.admits(report.frame_index, state.n_keyframes);

@@ -45,7 +45,7 @@ fn frames_of_keyframes(out: &Path) -> Vec<usize> {
 
 #[test]
 fn a_block_is_closed_where_it_is_and_map_and_trajectory_follow_with_the_same_bytes_every_time() {
-    let drive = Drive::around_a_block(40.0, 185.0, 1.2);
+    let drive = Drive::around_a_block(40.0, 200.0, 0.9);
     let out = tempfile::tempdir().expect("a folder");
     let [with, again, without] = ["with", "again", "without"].map(|name| out.path().join(name));
     let (log, ate_m) = replay(&drive, &with, true);
@@ -68,4 +68,36 @@ fn a_block_is_closed_where_it_is_and_map_and_trajectory_follow_with_the_same_byt
     println!("a block: ATE {ate_without_m:.3} m became {ate_m:.3} m, PSNR {without_db:.2} dB became {db:.2} dB");
     assert!(ate_m < 0.6 * ate_without_m, "{ate_without_m} m became {ate_m} m");
     assert!(db > without_db - 0.1, "{without_db} dB became {db} dB");
+}
+
+/// Positions of all frames in a trajectory file, m.
+fn trajectory_m(out: &Path) -> Vec<[f64; 3]> {
+    let text = std::fs::read_to_string(out.join("trajectory_tum.txt")).expect("a trajectory");
+    let line = |line: &str| {
+        let numbers: Vec<f64> = line.split_whitespace().map(|n| n.parse().expect("a number")).collect();
+        [numbers[1], numbers[2], numbers[3]]
+    };
+    text.lines().map(line).collect()
+}
+
+#[test]
+fn a_drive_that_begins_somewhere_in_a_stored_street_is_found_there() {
+    const START: usize = 20;
+    let drive = Drive::new(60.0);
+    let out = tempfile::tempdir().expect("a folder");
+    let [first, second] = ["first", "second"].map(|name| out.path().join(name));
+    let (dataset, map) = (word(drive.path()), word(&first.join("map")));
+    kilogs_succeeds(["replay", &dataset, "--out", &word(&first), "--iterations", "1"]);
+    let (start, second_out) = (START.to_string(), word(&second));
+    let resumed = ["--start", &start, "--frames", "30", "--resume", &map, "--out", &second_out, "--iterations", "1"];
+    let ended = kilogs_succeeds(["replay", dataset.as_str()].iter().chain(&resumed));
+    assert!(ended.stderr.contains("recognized: "), "{}", ended.stderr);
+    let (known_m, found_m) = (trajectory_m(&first), trajectory_m(&second));
+    let off_m = found_m
+        .iter()
+        .zip(&known_m[START..])
+        .map(|(found, known)| found.iter().zip(known).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt());
+    let worst_m = off_m.fold(0.0, f64::max);
+    println!("resumed somewhere in a street: {} frames within {worst_m:.3} m of where the map has them", found_m.len());
+    assert!(found_m.len() == 30 && worst_m < 0.7, "{worst_m} m off");
 }

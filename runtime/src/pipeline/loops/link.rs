@@ -1,5 +1,6 @@
 //! The way from the tracking thread to the loop closer: a few jobs that travel to and fro.
 
+use super::SharedAlignment;
 use crate::budget::{Row, Usage};
 use crate::pipeline::plan::RunPlan;
 use crate::pipeline::queue::{Received, Receiver, Sender, queue};
@@ -28,11 +29,13 @@ pub struct LoopLink {
     at_home: Option<Box<Job>>,
     n_jobs: usize,
     usage: Arc<Usage>,
+    alignment: SharedAlignment,
+    is_located: bool,
 }
 
 impl LoopLink {
     /// Takes the memory of the jobs.
-    pub(super) fn new(plan: &RunPlan, usage: &Arc<Usage>) -> (Self, LoopEnd) {
+    pub(super) fn new(plan: &RunPlan, usage: &Arc<Usage>, alignment: &SharedAlignment) -> (Self, LoopEnd) {
         let n_jobs = if plan.is_live() { plan.budget.capacity(Row::PipelineLoopQueue) } else { 1 };
         let (jobs, incoming) = queue(n_jobs);
         let (back, free) = queue(n_jobs);
@@ -45,7 +48,16 @@ impl LoopLink {
             let pushed = back.push(Box::new(job));
             debug_assert!(pushed.is_ok(), "the queue has room for every job");
         }
-        let link = Self { jobs, free, waits: !plan.is_live(), at_home: None, n_jobs, usage: Arc::clone(usage) };
+        let link = Self {
+            jobs,
+            free,
+            waits: !plan.is_live(),
+            at_home: None,
+            n_jobs,
+            usage: Arc::clone(usage),
+            alignment: alignment.clone(),
+            is_located: alignment.is_located(),
+        };
         (link, (incoming, back))
     }
 
@@ -54,6 +66,12 @@ impl LoopLink {
         if self.waits && self.at_home.is_none() {
             self.at_home = self.free.pop();
         }
+        self.is_located = self.alignment.is_located();
+    }
+
+    /// Whether it is known where in the map the drive is; changes only when a keyframe is settled.
+    pub fn is_located(&self) -> bool {
+        self.is_located
     }
 
     /// Hands a keyframe over; live it is left out, and counted, when the closer is busy with others.

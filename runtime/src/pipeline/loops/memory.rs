@@ -1,6 +1,6 @@
 //! What closing loops takes, and the memory of the closer.
 
-use super::points_file::{PointsFile, RECORD_BYTES};
+use super::places_file::{PlacesFile, RECORD_BYTES};
 use crate::map_store::Alignment;
 use crate::pipeline::matchers::kept;
 use kilogs_core::features::descriptors::half_step_bytes;
@@ -39,7 +39,7 @@ pub fn workspace_bytes(width: usize, height: usize, n_points: usize) -> usize {
 }
 
 /// The closer's memory, which lives as long as the process.
-pub fn storage(capacities: &LoopCapacities, points: PointsFile) -> LoopStorage<'static> {
+pub fn storage(capacities: &LoopCapacities, points: PlacesFile) -> LoopStorage<'static> {
     let LoopCapacities { places, words, features, points: n_points, graph } = *capacities;
     LoopStorage {
         index: PlaceStorage {

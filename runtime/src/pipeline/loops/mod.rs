@@ -10,7 +10,7 @@
 
 mod link;
 mod memory;
-mod points_file;
+mod places_file;
 mod vocabulary;
 mod work;
 
@@ -19,20 +19,33 @@ pub use memory::{BYTES_PER_KEYFRAME, BYTES_PER_PLACE, bytes_per_job, workspace_b
 pub(super) use work::{LoopSummary, alignment_before, prepare};
 
 use crate::map_store::Alignment;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// How loops have moved the keyframes of the map, for whoever looks: ids are those of the map.
-#[derive(Debug, Clone, Default)]
-pub struct SharedAlignment(Arc<Mutex<Alignment>>);
+#[derive(Debug, Clone)]
+pub struct SharedAlignment {
+    alignment: Arc<Mutex<Alignment>>,
+    is_located: Arc<AtomicBool>,
+}
 
 impl SharedAlignment {
     /// Shares `alignment`.
     pub fn new(alignment: Alignment) -> Self {
-        Self(Arc::new(Mutex::new(alignment)))
+        Self { alignment: Arc::new(Mutex::new(alignment)), is_located: Arc::new(AtomicBool::new(true)) }
     }
 
     /// The newest alignment; whoever changes it does so in one go.
     pub fn lock(&self) -> MutexGuard<'_, Alignment> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.alignment.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it is known where in the map the drive is. Until then nothing is mapped.
+    pub fn is_located(&self) -> bool {
+        self.is_located.load(Ordering::Acquire)
+    }
+
+    fn set_located(&self, is_located: bool) {
+        self.is_located.store(is_located, Ordering::Release);
     }
 }

@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 /// Name of the vocabulary that comes with the program.
 const FILE: &str = "places.kgv";
 
-/// The vocabulary in `file`, or, where that is empty, the one that comes with the program; it lives as long as the process.
+/// The vocabulary in `file`, or, where that is empty, the one that comes with the program; it lives as long as the process. With
+/// its checksum: words of two vocabularies have nothing to do with each other.
 ///
 /// # Errors
 /// What is wrong, and what to do.
-pub fn find(file: &Path) -> Result<Vocabulary<'static>, String> {
+pub fn find(file: &Path) -> Result<(Vocabulary<'static>, u32), String> {
     let places: Vec<PathBuf> = match file.as_os_str().is_empty() {
         true => usual_places().into_iter().map(|folder| folder.join(FILE)).collect(),
         false => vec![file.to_owned()],
@@ -27,5 +28,7 @@ pub fn find(file: &Path) -> Result<Vocabulary<'static>, String> {
         let (found, most) = (bytes.len(), MAX_VOCABULARY_BYTES);
         return Err(format!("{} has {found} bytes, at most {most} are planned for; {advice}", path.display()));
     }
-    Vocabulary::open(bytes.leak()).map_err(|problem| format!("{} {problem}; {advice}", path.display()))
+    let crc = crc32fast::hash(&bytes);
+    let opened = Vocabulary::open(bytes.leak()).map_err(|problem| format!("{} {problem}; {advice}", path.display()));
+    opened.map(|vocabulary| (vocabulary, crc))
 }

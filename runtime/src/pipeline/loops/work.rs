@@ -2,13 +2,13 @@
 
 use super::SharedAlignment;
 use super::link::{Job, LoopEnd, LoopLink};
-use super::points_file::PointsFile;
+use super::places_file::{KnownPlace, PlacesFile};
 use super::{memory, vocabulary};
 use crate::budget::{Row, Usage};
-use crate::map_store::Alignment;
+use crate::map_store::{Alignment, MapStoreReader};
 use crate::pipeline::matchers::kept;
 use crate::pipeline::plan::RunPlan;
-use crate::pipeline::resume::Resume;
+use crate::pipeline::resume::{Resume, map_from_keyframe};
 use crate::run_error::RunError;
 use kilogs_core::conventions::Similarity;
 use kilogs_core::features::descriptors::{extract, half_step_bytes};
@@ -23,6 +23,11 @@ use kilogs_core::tracking::{FrameReport, PYRAMID_LEVELS};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// A drive that is not recognized for so many keyframes goes on where the last one ended.
+const KEYFRAMES_UNTIL_LOCATED: usize = 12;
+/// A map that was closed before does not bend as odometry does: information of its steps, relative to that of odometry.
+const KNOWN_MAP_WEIGHT: f64 = 100.0;
+
 /// The loop closer's end, and everything it owns.
 pub struct LoopWork {
     closer: LoopCloser<'static>,
@@ -31,6 +36,10 @@ pub struct LoopWork {
     noise: OdometryNoise,
     /// Every keyframe that was looked at, where odometry put it.
     places: Vec<Place>,
+    /// Of these: keyframes of earlier drives.
+    n_known: usize,
+    /// How they had moved when the drive began.
+    before: Alignment,
     alignment: SharedAlignment,
     /// Where the alignment is written; none without a map.
     map: Option<PathBuf>,
@@ -61,7 +70,7 @@ pub fn prepare(
     if !settings.enabled || plan.given_poses.is_some() {
         return Ok(None);
     }
-    let vocabulary = match vocabulary::find(&settings.vocabulary) {
+    let (vocabulary, vocabulary_crc) = match vocabulary::find(&settings.vocabulary) {
         Ok(vocabulary) => vocabulary,
         Err(problem) => {
             log::warn!("closing loops: {problem}; the drive goes on without");
@@ -76,21 +85,38 @@ pub fn prepare(
         points: n_points,
         graph: plan.budget.loop_graph(),
     };
-    let points = PointsFile::create(&plan.out, n_points).map_err(|e| {
-        RunError::Run(format!("making a file for the points of keyframes in {}: {e}", plan.out.display()))
-    })?;
+    let map = plan.settings.mapping.enabled.then(|| plan.map_folder());
+    let file = match &map {
+        Some(map) => PlacesFile::of_map(map, n_points, vocabulary_crc),
+        None => PlacesFile::nameless(&plan.out, n_points, vocabulary_crc),
+    };
+    let folder = map.as_ref().unwrap_or(&plan.out).display();
+    let points =
+        file.map_err(|e| RunError::Run(format!("making a file for the places of the drive in {folder}: {e}")))?;
+    let known = points.known(capacities.places);
     let storage = memory::storage(&capacities, points);
     let closer = LoopCloser::new(SimdLevel::new(), plan.camera, vocabulary, settings.closer, &capacities, storage)
         .map_err(|e| RunError::Run(format!("setting up the loop closer: {e}")))?;
-    let (link, jobs) = LoopLink::new(plan, usage);
+    let before = alignment.lock().clone();
+    let n_keyframes = plan.budget.capacity(Row::LoopsKeyframes);
+    let mut known_map = KnownMap { closer, places: Vec::with_capacity(n_keyframes), noise: settings.noise };
+    if let Some(resume) = &plan.resume {
+        known_map.recall(&MapStoreReader::open(&resume.map, usize::MAX)?, &known, &before);
+    }
+    let KnownMap { closer, places, noise } = known_map;
+    let is_pose_given = plan.resume.as_ref().is_none_or(|resume| resume.is_pose_given);
+    alignment.set_located(places.is_empty() || is_pose_given);
+    let (link, jobs) = LoopLink::new(plan, usage, alignment);
     let work = LoopWork {
+        n_known: places.len(),
+        before,
         closer,
         eye: Eye::new(plan, n_points),
         jobs,
-        noise: settings.noise,
-        places: Vec::with_capacity(plan.budget.capacity(Row::LoopsKeyframes)),
+        noise,
+        places,
         alignment: alignment.clone(),
-        map: plan.settings.mapping.enabled.then(|| plan.map_folder()),
+        map,
         resume: plan.resume.clone(),
         usage: Arc::clone(usage),
         n_loops: 0,
@@ -133,7 +159,10 @@ impl LoopWork {
         let packet = KeyframePacket {
             ordinal: report.keyframe_ordinal,
             odometry_from_camera,
-            information: self.noise.information(step_m),
+            information: match self.places.len() {
+                n if n == self.n_known && n > 0 => OdometryNoise::unknown_start(),
+                _ => self.noise.information(step_m),
+            },
             features,
             points,
         };
@@ -161,7 +190,27 @@ impl LoopWork {
             self.n_loops += 1;
             self.align()?;
         }
+        if !self.alignment.is_located() {
+            self.locate(report, outcome.optimized.is_some());
+        }
         Ok(())
+    }
+
+    /// A loop with an earlier drive says where in the map this one is. Who is not recognized for long is somewhere else.
+    fn locate(&self, report: &FrameReport, is_recognized: bool) {
+        let n_keyframes = self.places.len() - self.n_known;
+        if is_recognized {
+            log::info!(
+                "recognized: the {n_keyframes}th keyframe of the drive (frame {}) is in the map",
+                report.frame_index
+            );
+        } else if n_keyframes >= KEYFRAMES_UNTIL_LOCATED {
+            log::warn!(
+                "{n_keyframes} keyframes of the drive are of no street in the map: it goes on where the last one ended; \
+                 say where it began with --resume-pose"
+            );
+        }
+        self.alignment.set_located(is_recognized || n_keyframes >= KEYFRAMES_UNTIL_LOCATED);
     }
 
     fn refuse(&mut self, row: Row) {
@@ -173,7 +222,8 @@ impl LoopWork {
     fn align(&mut self) -> Result<(), RunError> {
         let moved = |place: &Place| {
             let world_from_keyframe = self.closer.world_from_keyframe(place)?;
-            Some((place.keyframe_id, world_from_keyframe * place.odometry_from_keyframe.inverse()))
+            let moved = world_from_keyframe * place.odometry_from_keyframe.inverse();
+            Some((place.keyframe_id, moved * self.before.at(place.keyframe_id)))
         };
         let mut alignment = self.alignment.lock();
         alignment.truncate_from(self.places.first().map_or(0, |first| first.keyframe_id));
@@ -185,6 +235,35 @@ impl LoopWork {
         let written = alignment.clone();
         drop(alignment);
         Ok(written.write(map)?)
+    }
+}
+
+/// A closer that gets to know a map before the drive begins.
+struct KnownMap {
+    closer: LoopCloser<'static>,
+    places: Vec<Place>,
+    noise: OdometryNoise,
+}
+
+impl KnownMap {
+    /// Knows the places of a stored map again, where its keyframes are now; `alignment` is how they moved.
+    fn recall(&mut self, map: &MapStoreReader, known: &[KnownPlace], alignment: &Alignment) {
+        for KnownPlace { slot, keyframe_id, words } in known {
+            let Some(keyframe) = map.keyframe(*keyframe_id) else { continue };
+            let map_from_keyframe = map_from_keyframe(keyframe);
+            // Its points are in metres of the odometry that it was seen with.
+            let scale = alignment.at(*keyframe_id).scaling();
+            let odometry_from_keyframe = Similarity::from_isometry(map_from_keyframe, scale);
+            let place = Place { keyframe_id: *keyframe_id, odometry_from_keyframe };
+            let before = self.places.last().unwrap_or(&place).odometry_from_keyframe.isometry;
+            let step_m = (before.inverse() * map_from_keyframe).translation.vector.norm();
+            let information = self.noise.information(step_m) * KNOWN_MAP_WEIGHT;
+            if self.places.len() < self.places.capacity()
+                && self.closer.recall(*slot, &place, words, &information).is_ok()
+            {
+                self.places.push(place);
+            }
+        }
     }
 }
 
