@@ -110,8 +110,7 @@ impl ScaleFilter {
         }
     }
 
-    /// Standard deviation of the logarithm of the scale as far as the measurements bear it out: where they have been off by
-    /// more than they claim, it grows with them.
+    /// Standard deviation of the logarithm of the scale; it grows where measurements have been off by more than they claim.
     pub fn sigma(&self) -> f64 {
         libm::sqrt(self.variance * self.surprise.max(1.0))
     }
@@ -128,7 +127,7 @@ impl ScaleFilter {
 
     /// Measurements that were merged.
     pub fn n_measurements(&self) -> u32 {
-        self.n_measurements.iter().fold(0, |sum, &n| sum.saturating_add(n))
+        self.n_measurements.into_iter().fold(0, u32::saturating_add)
     }
 
     /// Expected drift of the logarithm, 1/m.

@@ -23,8 +23,6 @@ const COASTED_LENGTH_RATIO: f64 = 0.3;
 /// A homography this near to a rotation is one, standard deviations of a match. Ours: with some hundred matches its
 /// entries are known to a fraction of one.
 const MOST_OFF_SIGMAS: f64 = 3.0;
-/// Noise of a match in the choice of a model, px (paper, supplement).
-const GRIC_SIGMA_PX: f64 = 0.8;
 
 /// Which model the matches call for: the lower the figure, the better.
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +96,7 @@ impl Tracker<'_> {
         let found = estimate_homography(matches, settings, &mut rng, is_inlier).ok()?;
         let n_of_either = to_the_front(matches, is_inlier, n_of_motion);
         let explained = matches.get(..n_of_either)?;
-        let sigma_z1 = GRIC_SIGMA_PX / self.camera.fx;
+        let sigma_z1 = self.settings.gric_sigma_px / self.camera.fx;
         Some(ModelChoice {
             gric_essential: gric_essential(motion, explained, sigma_z1),
             gric_homography: gric_homography(&found.second_from_first, explained, sigma_z1),
@@ -109,7 +107,7 @@ impl Tracker<'_> {
     /// The pose of a camera that only turned since the keyframe; for a start without landmarks.
     fn turn(&self, choice: &ModelChoice, needed: usize, pose: FramePose) -> Option<FramePose> {
         let (rotation, off) = rotation_of_homography(&choice.homography)?;
-        let sigma_z1 = GRIC_SIGMA_PX / self.camera.fx;
+        let sigma_z1 = self.settings.gric_sigma_px / self.camera.fx;
         if self.is_started || pose.n_inliers < needed || off > MOST_OFF_SIGMAS * sigma_z1 {
             return None;
         }

@@ -47,6 +47,9 @@ pub struct TrackingSettings {
     pub noise_px: f64,
     /// Standard deviation of a track that a matcher found again, px. Range 0.05..5; ours.
     pub matched_noise_px: f64,
+    /// Noise of a match in the choice between essential matrix and homography, px. Range 0.1..5; paper, supplement. A camera
+    /// with larger pixels or noise needs another one.
+    pub gric_sigma_px: f64,
     /// Sampson distance below which a match agrees with an essential matrix, px. Range 0.1..4; peers use 0.2..1.
     pub essential_inlier_px: f64,
     /// Most samples of the robust loops. Range 20..5000.
@@ -85,6 +88,9 @@ pub struct TrackingSettings {
     pub max_normal_deviation_rad: f64,
     /// What may tell the scale. The road measures the first step whatever is asked for, where nothing else does.
     pub scale_sources: ScaleSources,
+    /// What brakes can do, m/s^2: a vehicle that would have to brake harder to stand still from one image to the next has a
+    /// camera that hangs. Range 1..30; tyres on a dry street reach 10.
+    pub hardest_braking_m_per_s2: f64,
     /// The road's alignment.
     pub road: RoadSettings,
     /// How scale measurements are merged.
@@ -103,6 +109,7 @@ impl TrackingSettings {
         bundle_adjustment: true,
         noise_px: 0.35,
         matched_noise_px: 0.7,
+        gric_sigma_px: 0.8,
         essential_inlier_px: 0.7,
         max_trials: 300,
         confidence: 0.999,
@@ -121,6 +128,7 @@ impl TrackingSettings {
         normal_adaptation: 0.05,
         max_normal_deviation_rad: 0.05,
         scale_sources: ScaleSources::UNTRAINED,
+        hardest_braking_m_per_s2: 10.0,
         road: RoadSettings {
             distance_m: [5.0, 16.0],
             half_width_m: 3.0,

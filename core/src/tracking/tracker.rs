@@ -27,8 +27,6 @@ use nalgebra::{Vector3, Vector6};
 pub const PYRAMID_LEVELS: usize = 4;
 /// Prediction does not coast for longer than this, s.
 pub(super) const MAX_COAST_S: f64 = 1.0;
-/// What tyres can do, m/s^2.
-const HARDEST_BRAKING_M_PER_S2: f64 = 10.0;
 /// Nanoseconds per second.
 const NS_PER_S: f64 = 1e9;
 /// A track without a landmark.
@@ -309,7 +307,7 @@ impl<'m> Tracker<'m> {
     ///
     /// A sensor has noise: the same bytes twice come from a camera that hangs, or from a recording that was stretched.
     fn is_frozen(&self, duration_s: f64) -> bool {
-        let stops_from_m_per_s = HARDEST_BRAKING_M_PER_S2 * duration_s;
+        let stops_from_m_per_s = self.settings.hardest_braking_m_per_s2 * duration_s;
         let is_driving = self.motion.prior.as_ref().is_some_and(|p| p.speed_m_per_s > stops_from_m_per_s);
         let [before, now] = [self.previous_slot, self.current_slot].map(|slot| self.pyramids[slot].image());
         is_driving && (0..now.height()).all(|y| before.row(y) == now.row(y))

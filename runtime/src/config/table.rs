@@ -98,6 +98,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     whole!("tracking.gate_min_tracks", Range::closed(0.0, 65536.0), tracking.tracker.gate.min_tracks),
     number!("tracking.noise_px", Range::closed(0.05, 2.0), tracking.tracker.noise_px),
     number!("tracking.matched_noise_px", Range::closed(0.05, 5.0), tracking.tracker.matched_noise_px),
+    number!("tracking.gric_sigma_px", Range::closed(0.1, 5.0), tracking.tracker.gric_sigma_px),
     number!("tracking.essential_inlier_px", Range::closed(0.1, 4.0), tracking.tracker.essential_inlier_px),
     whole!("tracking.max_trials", Range::closed(20.0, 5000.0), tracking.tracker.max_trials),
     number!("tracking.confidence", Range::closed_open(0.9, 1.0), tracking.tracker.confidence),
@@ -160,6 +161,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("tracking.scale_early_sigma", Range::closed(0.0, 1.0), tracking.tracker.scale.early_sigma),
     number!("tracking.scale_kernel_sigmas", Range::closed(1.0, 5.0), tracking.tracker.scale.kernel_sigmas),
     number!("tracking.scale_max_jump", Range::closed(1.05, 10.0), tracking.tracker.scale.max_jump),
+    number!("tracking.scale_gate_sigmas", Range::closed(2.0, 10.0), tracking.tracker.scale.gate_sigmas),
     number!(
         "tracking.motion_max_turn_change_rad_per_s",
         Range::closed(0.1, 10.0),
@@ -172,6 +174,11 @@ pub(super) const SETTINGS: &[Setting] = &[
         "tracking.motion_max_acceleration_m_per_s2",
         Range::closed(1.0, 200.0),
         tracking.tracker.motion.max_acceleration_m_per_s2
+    ),
+    number!(
+        "tracking.motion_hardest_braking_m_per_s2",
+        Range::closed(1.0, 30.0),
+        tracking.tracker.hardest_braking_m_per_s2
     ),
     switch!("tracking.motion_reverse_allowed", None, tracking.tracker.motion.reverse_allowed),
     switch!("mapping.enabled", None, mapping.enabled),
