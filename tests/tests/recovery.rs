@@ -143,3 +143,10 @@ fn a_camera_that_hangs_or_goes_blind_for_a_moment_is_found_again() {
     check("hung", (DriveKind::Street, &["frozen@50..54"]), Ask::Both, &expected);
     check("glare", (DriveKind::Street, &["glare@50..54"]), Ask::Both, &Expected { matched: 0, ..expected });
 }
+
+#[test]
+fn a_truck_that_fills_half_of_the_view_is_not_followed() {
+    // Its texture is the larger consensus; following it ended 9 m off.
+    let expected = Expected { pnp: 80, matched: 0, dense: 0 };
+    check("truck", (DriveKind::Street, &["truck@40..80"]), Ask::Nobody, &expected);
+}

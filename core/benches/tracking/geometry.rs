@@ -33,8 +33,13 @@ const PNP: PnpSettings = PnpSettings {
 };
 /// Landmarks of a window in town.
 const LANDMARKS: usize = 1000;
-const BUNDLE: BundleSettings =
-    BundleSettings { noise_z1: NOISE_PX / CAMERA.fx, huber_sigmas: 1.345, outlier_sigmas: 5.0, max_iterations: 8 };
+const BUNDLE: BundleSettings = BundleSettings {
+    noise_z1: NOISE_PX / CAMERA.fx,
+    huber_sigmas: 1.345,
+    outlier_sigmas: 4.0,
+    max_iterations: 8,
+    min_sightings: 3,
+};
 
 fn problems(scene: Scene, outlier_ratio: f64, n_seeds: u64) -> Vec<TwoViews> {
     (0..n_seeds).map(|seed| TwoViews::new(scene, MATCHES, outlier_ratio, seed)).collect()

@@ -117,6 +117,11 @@ fn is_adjustable(landmark: &Landmark) -> bool {
     landmark.has_depth() && !landmark.is_outlier && landmark.n_sightings() > 1
 }
 
+/// Whether a landmark has a say in the poses.
+fn is_evidence(landmark: &Landmark, settings: &BundleSettings) -> bool {
+    is_adjustable(landmark) && landmark.n_sightings() >= settings.min_sightings
+}
+
 /// Sums over one landmark: its depth's information and gradient, and its coupling with every free pose.
 struct DepthRow {
     information: f64,
@@ -160,7 +165,7 @@ pub(super) fn linearize(
     system: &mut ReducedSystem,
 ) {
     system.clear();
-    for landmark in landmarks.iter().filter(|l| is_adjustable(l)) {
+    for landmark in landmarks.iter().filter(|l| is_evidence(l, settings)) {
         let host = landmark.host();
         let mut row = DepthRow::new();
         for (target, s) in graph.sightings(landmark) {
@@ -228,12 +233,12 @@ pub(super) fn restore_depths(landmarks: &mut [Landmark]) {
     }
 }
 
-/// Robust cost of all sightings; those behind a camera cost as much as a gross outlier.
+/// Robust cost of all sightings that have a say in the poses; those behind a camera cost as much as a gross outlier.
 pub(super) fn total_cost(graph: &Graph, landmarks: &[Landmark], settings: &BundleSettings) -> f64 {
     const BEHIND_SIGMAS: f64 = 100.0;
     let behind = settings.huber_sigmas * (2.0 * BEHIND_SIGMAS - settings.huber_sigmas);
     let mut cost = 0.0;
-    for landmark in landmarks.iter().filter(|l| is_adjustable(l)) {
+    for landmark in landmarks.iter().filter(|l| is_evidence(l, settings)) {
         let mut n_in_front = 1;
         for (_, s) in graph.sightings(landmark) {
             cost += s.weight_and_cost(settings).1;

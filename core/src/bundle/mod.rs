@@ -6,7 +6,7 @@ mod reduced;
 pub use reduced::ReducedSystem;
 
 use crate::conventions::Rigid;
-use crate::keyframe::{Column, KeyframeWindow, Landmark, WINDOW};
+use crate::keyframe::{Column, KeyframeWindow, Landmark, SHORTEST_BASELINE_M, WINDOW};
 use crate::math::se3;
 use crate::pose::Stop;
 use equations::{Graph, finish, linearize, move_depths, restore_depths, total_cost};
@@ -23,6 +23,9 @@ pub struct BundleSettings {
     pub outlier_sigmas: f64,
     /// Levenberg-Marquardt steps. Range 1..50.
     pub max_iterations: usize,
+    /// Keyframes that have to see a landmark for it to say anything about poses. Range 2..8; the depths of the others
+    /// follow.
+    pub min_sightings: u32,
 }
 
 /// What is known about the newest keyframe's pose beside its sightings.
@@ -68,15 +71,23 @@ pub struct BundleReport {
     pub stop: Stop,
 }
 
-/// The two oldest keyframes hold the window's place and scale.
-const N_FIXED: usize = 2;
 const FIRST_DAMPING: f64 = 1e-4;
 const DAMPING_FACTOR: f64 = 10.0;
 const MAX_DAMPING: f64 = 1e6;
 /// A relative gain below this ends the iteration.
 const NEGLIGIBLE_GAIN: f64 = 1e-4;
 
-/// Adjusts the keyframes of the window (but for the two oldest) and the landmarks' inverse depths.
+/// How many of the oldest keyframes hold the window's place and scale: up to the first that stands elsewhere than the oldest,
+/// since keyframes of a turn on the spot hold no scale.
+fn n_fixed(window: &KeyframeWindow) -> usize {
+    let centers =
+        || window.columns_by_age().filter_map(|c| window.at(c)).map(|k| k.camera_from_world.inverse().translation);
+    let Some(oldest) = centers().next() else { return 0 };
+    let stays = centers().take_while(|c| (c.vector - oldest.vector).norm() < SHORTEST_BASELINE_M);
+    stays.count() + 1
+}
+
+/// Adjusts the keyframes of the window (but for the oldest two, or more after a turn on the spot) and the landmarks' inverse depths.
 ///
 /// Minimises  sum_ij rho(|| z_ij - pi(T_j T_h^-1 (x_i, 1 / depth_i)) ||^2 / sigma^2)  with rho = Huber, the depths
 /// eliminated by the Schur complement.
@@ -87,7 +98,7 @@ const NEGLIGIBLE_GAIN: f64 = 1e-4;
 /// * `system`: work space.
 ///
 /// # Output
-/// Costs and counts. Nothing happens with fewer than three keyframes.
+/// Costs and counts. Nothing happens with fewer than three keyframes, or before one stands elsewhere than the oldest.
 ///
 /// # Cost
 /// O(sightings * iterations + (6 keyframes)^3); 14 KiB of stack.
@@ -102,11 +113,12 @@ pub fn adjust(
     settings: &BundleSettings,
 ) -> BundleReport {
     let mut report = BundleReport { first_cost: 0.0, last_cost: 0.0, n_steps: 0, n_outliers: 0, stop: Stop::StepLimit };
-    if window.len() <= N_FIXED {
+    let n_fixed = n_fixed(window);
+    if window.len() <= n_fixed {
         report.stop = Stop::Stalled;
         return report;
     }
-    let mut graph = Graph::new(window, N_FIXED);
+    let mut graph = Graph::new(window, n_fixed);
     let prior = prior.zip(window.columns_by_age().last());
     let cost_of = |graph: &Graph, landmarks: &[Landmark]| {
         total_cost(graph, landmarks, settings) + prior.map_or(0.0, |(prior, column)| prior.cost(graph, column))
@@ -162,8 +174,13 @@ mod tests {
     use nalgebra::{Point3, Vector2, Vector3};
     use std::{boxed::Box, vec::Vec};
 
-    const SETTINGS: BundleSettings =
-        BundleSettings { noise_z1: 5e-4, huber_sigmas: 1.345, outlier_sigmas: 5.0, max_iterations: 20 };
+    const SETTINGS: BundleSettings = BundleSettings {
+        noise_z1: 5e-4,
+        huber_sigmas: 1.345,
+        outlier_sigmas: 5.0,
+        max_iterations: 20,
+        min_sightings: 2,
+    };
 
     fn truth(i: usize) -> Rigid {
         let i = i as f64;
@@ -252,6 +269,21 @@ mod tests {
         let before = window.at(1).copied();
         let report = adjust(&mut window, &mut landmarks, None, &mut Box::new(ReducedSystem::new()), &SETTINGS);
         assert_eq!((report.stop, window.at(1).copied()), (Stop::Stalled, before));
+    }
+
+    #[test]
+    fn keyframes_of_a_turn_on_the_spot_hold_no_scale() {
+        let check = |ways_m: &[f64], expected: usize| {
+            let mut window = KeyframeWindow::new();
+            for way_m in ways_m {
+                window.push(0, 0, Rigid::translation(0.0, 0.0, -way_m), &mut []);
+            }
+            assert_eq!(n_fixed(&window), expected, "{ways_m:?}");
+        };
+        check(&[0.0, 1.0, 2.0], 2);
+        check(&[0.0, 0.01, 0.0, 1.0, 2.0], 4);
+        check(&[0.0, 0.0, 0.0], 4);
+        check(&[], 0);
     }
 
     #[test]

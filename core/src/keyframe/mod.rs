@@ -4,4 +4,4 @@ mod landmark;
 mod window;
 
 pub use landmark::{Column, Landmark, WINDOW};
-pub use window::{Keyframe, KeyframeWindow, LandmarkView};
+pub use window::{Keyframe, KeyframeWindow, LandmarkView, SHORTEST_BASELINE_M};

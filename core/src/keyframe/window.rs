@@ -4,6 +4,11 @@ use super::{Column, Landmark, WINDOW};
 use crate::conventions::{Rigid, TimestampNs};
 use nalgebra::{Point3, Vector2, Vector3};
 
+/// Keyframes nearer to each other than this tell no depth, m. Ours: poses are off by centimetres among themselves, and while
+/// a vehicle turns on the spot that error would pass for a baseline, its landmarks for a street of centimetres; on a drive
+/// the gate's flow takes a few of these, 12 px at 10 m are 0.17 m.
+pub const SHORTEST_BASELINE_M: f64 = 0.1;
+
 /// A frame that the window remembers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keyframe {

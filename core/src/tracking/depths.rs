@@ -2,17 +2,12 @@
 
 use super::TrackingSettings;
 use crate::camera::Pinhole;
-use crate::keyframe::{KeyframeWindow, Landmark, LandmarkView, WINDOW};
+use crate::keyframe::{KeyframeWindow, Landmark, LandmarkView, SHORTEST_BASELINE_M, WINDOW};
 use crate::pose::{Sighting, triangulate_inverse_depth};
 use nalgebra::Vector3;
 
 /// Landmarks are tested against this many standard deviations of their depth.
 const SIGMAS: f64 = 3.0;
-/// Keyframes nearer to each other than this tell no depth, m. Ours: poses are off by centimetres among themselves, and while
-/// a vehicle turns on the spot that error would pass for a baseline, its landmarks for a street of centimetres; on a drive
-/// the gate's flow takes a few of these, 12 px at 10 m are 0.17 m.
-const SHORTEST_BASELINE_M: f64 = 0.1;
-
 /// Triangulates landmarks that have at least two sightings and no depth yet; returns how many got one.
 pub(super) fn triangulate_new(
     window: &KeyframeWindow,

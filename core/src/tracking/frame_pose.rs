@@ -12,7 +12,7 @@ use crate::camera::Mounting;
 use crate::conventions::{Rigid, TimestampNs};
 use crate::features::tracks::TrackReport;
 use crate::math::{Rng, se3};
-use crate::pose::{estimate_pnp, fit_turn};
+use crate::pose::{LandmarkMatch, PoseRefinement, estimate_pnp, fit_turn};
 use crate::scale::ScaleSources;
 use crate::verify::{MotionVerdict, judge_motion};
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3};
@@ -22,6 +22,11 @@ const PURPOSE_PNP: u64 = 1;
 /// Tracks of the road that must stand still for the vehicle to stand, and their share.
 const MIN_STANDING_TRACKS: usize = 12;
 const STANDING_SHARE: f64 = 0.6;
+/// Fewest landmarks that make a pose where the motion so far holds it.
+const FEWEST_STEADIED: usize = 8;
+/// Squared standard deviations by which such a pose may differ from what the motion so far says: the chi-square
+/// distribution of six numbers goes beyond that once in a thousand times.
+const MOST_OFF_SIGMAS2: f64 = 22.5;
 /// Rays this steep below the horizon see the street nearer than about 30 m: sine of the angle.
 const MIN_ROAD_SINE: f64 = 0.05;
 
@@ -264,35 +269,46 @@ impl Tracker<'_> {
         n_street >= MIN_STANDING_TRACKS && n_still as f64 > STANDING_SHARE * n_street as f64
     }
 
-    /// Pose from the window's landmarks.
+    /// Pose from the window's landmarks: the tested ones decide.
     fn pnp_pose(&mut self, moment: &Moment, noise_px: f64) -> Option<FramePose> {
         let n = self.collect_landmark_matches();
-        let matches = self.scratch.landmark_matches.get(..n)?;
         let keyframe_from_world = self.newest.camera_from_world;
         let settings = self.settings.pnp(&self.camera, noise_px);
         let mut rng = Rng::new(self.seed, moment.frame_index, PURPOSE_PNP);
         let guess = moment.predicted * keyframe_from_world.inverse();
-        let found = estimate_pnp(matches, &guess, &settings, &mut rng, self.scratch.is_inlier).ok()?;
-        let n_inliers = self.scratch.is_inlier.iter().take(n).filter(|&&i| i).count();
-        if n_inliers < self.settings.min_inliers || (n_inliers as f64) < self.settings.min_inlier_ratio * n as f64 {
+        let n_witnesses = self.witnesses_to_the_front(n);
+        let witnesses = self.scratch.landmark_matches.get(..n_witnesses)?;
+        let found = estimate_pnp(witnesses, &guess, &settings, &mut rng, self.scratch.is_inlier).ok()?;
+        let n_agreeing = self.scratch.is_inlier.iter().take(n_witnesses).filter(|&&i| i).count();
+        let is_weak = n_agreeing < self.settings.enough_inliers && self.motion.prior.is_some();
+        let fewest = if is_weak { FEWEST_STEADIED } else { self.settings.min_inliers };
+        if n_agreeing < fewest || (n_agreeing as f64) < self.settings.min_inlier_ratio * n_witnesses as f64 {
             return None;
         }
-        let camera_from_world = found.refined.camera_from_reference * keyframe_from_world;
-        let n_dynamic = n - n_inliers;
-        let information = found.refined.information;
+        let PoseRefinement { camera_from_reference, information, .. } = found.refined;
+        let limit2 = settings.inlier_sigmas * settings.inlier_sigmas;
+        let agrees = |m: &&LandmarkMatch| m.squared_sigmas(&camera_from_reference, settings.noise_z1) < limit2;
+        let n_inliers = self.scratch.landmark_matches.iter().take(n).filter(agrees).count();
+        let camera_from_world = camera_from_reference * keyframe_from_world;
         let solved = FramePose::solved(&camera_from_world, PoseModel::Pnp, n, n_inliers);
+        let n_dynamic = n - n_inliers;
         let solved = FramePose { n_dynamic, step_covariance: step_covariance(&information), ..solved };
-        let is_weak = n_inliers < self.settings.enough_inliers;
-        Some(if is_weak && self.motion.prior.is_some() { self.steadied(solved, &information, moment) } else { solved })
+        if is_weak { self.steadied(solved, &information, moment) } else { Some(solved) }
     }
 
-    /// A pose from few matches, held by what the motion so far says: the mean of both, each by its information.
-    fn steadied(&self, pose: FramePose, information: &Matrix6<f64>, moment: &Moment) -> FramePose {
+    /// A pose from few matches, held by what the motion so far says: the mean of both, each by its information; `None` where
+    /// they contradict each other.
+    fn steadied(&self, pose: FramePose, information: &Matrix6<f64>, moment: &Moment) -> Option<FramePose> {
         let expected = coasting_information(self.seconds_since_last(moment.timestamp_ns));
         let prior = PosePrior { camera_from_world: moment.predicted, information: expected };
         let off = se3::log(&(moment.predicted * pose.camera_from_world.inverse()));
-        let Some(both) = (information / CLAIM_FACTOR + expected).cholesky() else { return pose };
-        let camera_from_world = se3::exp(&both.solve(&(expected * off))) * pose.camera_from_world;
-        FramePose { camera_from_world, prior: Some(prior), ..pose }
+        let both = (information / CLAIM_FACTOR + expected).cholesky()?;
+        let step = both.solve(&(expected * off));
+        // (A^-1 + B^-1)^-1 = B - B (A + B)^-1 B, the information of the difference.
+        if off.dot(&(expected * (off - step))) > MOST_OFF_SIGMAS2 {
+            return None;
+        }
+        let camera_from_world = se3::exp(&step) * pose.camera_from_world;
+        Some(FramePose { camera_from_world, prior: Some(prior), ..pose })
     }
 }

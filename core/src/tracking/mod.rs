@@ -12,6 +12,7 @@ mod road;
 mod settings;
 mod storage;
 mod tracker;
+mod witnesses;
 
 pub use recovery::{Aids, MatchSource, Travelled};
 pub use settings::{DynamicFilter, PoseModels, TrackingSettings};

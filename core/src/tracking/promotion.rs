@@ -22,6 +22,7 @@ impl Tracker<'_> {
         aids: &mut Aids<'_>,
     ) {
         let earlier_slot = self.keyframe_slot;
+        self.mark_contradicted(pose);
         let column = self.window.push(frame_index, timestamp_ns, pose.camera_from_world, self.landmarks);
         self.link_landmarks();
         self.record_sightings(column);
@@ -33,6 +34,7 @@ impl Tracker<'_> {
                 huber_sigmas: HUBER_SIGMAS,
                 outlier_sigmas: self.settings.outlier_sigmas,
                 max_iterations: self.settings.bundle_iterations,
+                min_sightings: self.witness_sightings(),
             };
             adjust(&mut self.window, self.landmarks, pose.prior.as_ref(), self.bundle, &settings);
         }
@@ -45,6 +47,7 @@ impl Tracker<'_> {
             let share = self.settings.below_road_ratio;
             pose.n_dynamic += mark_impossible(&self.window, self.landmarks, &normal, height_m, share);
         }
+        self.mark_company_of_outliers();
         self.drop_outliers();
         let was_started = self.is_started;
         self.judge_start();

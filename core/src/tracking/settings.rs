@@ -123,7 +123,7 @@ impl TrackingSettings {
         max_doubtful_frames: 5,
         min_corners: 30,
         bundle_iterations: 8,
-        outlier_sigmas: 5.0,
+        outlier_sigmas: 4.0,
         below_road_ratio: 0.5,
         normal_adaptation: 0.05,
         max_normal_deviation_rad: 0.05,

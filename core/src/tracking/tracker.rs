@@ -298,9 +298,10 @@ impl<'m> Tracker<'m> {
             n_tracks_at_keyframe: self.tracks.n_at_keyframe(),
             width_px,
         };
-        // What matches found again is nearer to the next frame than to a keyframe that tracks could not follow.
-        let was_found_again = pose.source != super::MatchSource::Tracks;
-        (was_found_again || gate::judge(&change, &limits).is_keyframe()) && (self.is_started || pose.is_metric)
+        // What matches found again is nearer to the next frame than to a keyframe that tracks could not follow. Of landmarks
+        // that are few there are fewer in every frame, and only a keyframe finds others.
+        let is_urgent = pose.source != super::MatchSource::Tracks || pose.prior.is_some();
+        (is_urgent || gate::judge(&change, &limits).is_keyframe()) && (self.is_started || pose.is_metric)
     }
 
     /// Whether the current image is the one before once more although the vehicle cannot have stopped in between.
