@@ -10,6 +10,7 @@
 //! ```
 
 mod camera_image;
+mod child_watch;
 mod finish;
 mod given_poses;
 pub(crate) mod loops;

@@ -1,5 +1,6 @@
 //! The main thread during a run: starts the others, writes what they tell, watches memory and camera.
 
+use super::child_watch::{camera_failure, progress_bar};
 use super::finish::{self, Concluded};
 use super::loops::{self, LoopSummary, SharedAlignment};
 use super::mapping_thread::{self, MappingProgress};
@@ -17,7 +18,7 @@ use crate::output::{HealthPublisher, OutputFolder};
 use crate::run_error::RunError;
 use crate::seal;
 use crate::telemetry::MemoryWatch;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use kilogs_camera::ipc::HealthMessage;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,12 +33,6 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A camera that sends nothing for so long is told.
 const LONG_SILENCE: Duration = Duration::from_secs(1);
-
-/// Exit code after a camera process that ended by a signal.
-const RUN_FAILED: u8 = 1;
-
-/// How long the camera child may take to end by itself.
-const END_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Runs everything and writes everything.
 ///
@@ -398,30 +393,5 @@ impl<'run> Supervisor<'run> {
             log::info!("{}; Ctrl-C ends the run", camera.describe(self.service, silent_for));
             self.is_silence_told = true;
         }
-    }
-}
-
-/// Why the camera child failed; it has ended or is about to.
-fn camera_failure(child: &mut CameraChild) -> Option<RunError> {
-    match child.wait(END_PATIENCE) {
-        Some(status) if status.success() => None,
-        Some(status) => {
-            let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(RUN_FAILED);
-            let text = format!("the camera process failed ({status}); what it said stands above");
-            Some(RunError::Camera { code, text })
-        }
-        // It is still there because the run was stopped, not because of a fault of its own.
-        None => None,
-    }
-}
-
-fn progress_bar(n_frames: Option<u64>) -> ProgressBar {
-    let (bar, template) = match n_frames {
-        Some(n_frames) => (ProgressBar::new(n_frames), "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left"),
-        None => (ProgressBar::new_spinner(), "{spinner} {pos} frames, {per_sec}"),
-    };
-    match ProgressStyle::with_template(template) {
-        Ok(style) => bar.with_style(style),
-        Err(_) => bar,
     }
 }

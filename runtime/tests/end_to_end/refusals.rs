@@ -133,7 +133,6 @@ fn settings_and_options_that_cannot_be_used_are_refused() {
     let refused = |options: &[&str], code, text| check_drive(&good, |_| (), options, code, text);
     refused(&["--set", "tracking.no_such=1"], 2, "there is no setting tracking.no_such");
     refused(&["--set", "mapping.resolution=7"], 2, "mapping.resolution = 7: not in the range");
-    refused(&["--set", "loop_closure.enabled=true"], 2, "not available in this version; write false");
     refused(&["--set", "mapping.resolution"], 2, "--set");
     refused(&["--config", "no_such.toml"], 2, "check the path given with --config");
     refused(&["--backend", "vulkan", "--device", "999"], 4, "--backend cpu needs none");
