@@ -12,23 +12,54 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
-/// A point as it is written.
+/// A point as it is written, in fixed-point numbers that are finer than what is known of it.
 #[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 struct Record {
     descriptor: [u64; 4],
-    pixel: [f32; 2],
-    direction: [f32; 2],
-    scale: f32,
-    min_eigenvalue: f32,
     depth_m: f32,
-    relative_sigma: f32,
+    /// Steps of 1/8 px.
+    pixel: [u16; 2],
+    /// Cosine and sine, in steps of 1/32767.
+    direction: [i16; 2],
+    /// Steps of 1/256.
+    scale: u16,
+    /// Steps of 1/65535.
+    relative_sigma: u16,
+}
+
+impl Record {
+    fn new(feature: &Feature, depth: &PointDepth) -> Self {
+        // A number beyond the range becomes the last one in it.
+        let fixed = |number: f32, steps: f32| (number * steps).round() as u16;
+        Self {
+            descriptor: feature.descriptor.0,
+            depth_m: depth.depth_m,
+            pixel: feature.pixel.map(|c| fixed(c, 8.0)),
+            direction: feature.direction.map(|c| (c * 32767.0).round() as i16),
+            scale: fixed(feature.scale, 256.0),
+            relative_sigma: fixed(depth.relative_sigma, 65535.0),
+        }
+    }
+
+    fn point(&self) -> (Feature, PointDepth) {
+        let feature = Feature {
+            pixel: self.pixel.map(|c| f32::from(c) / 8.0),
+            scale: f32::from(self.scale) / 256.0,
+            direction: self.direction.map(|c| f32::from(c) / 32767.0),
+            // How strong a corner was decided about its word, and is not asked again.
+            min_eigenvalue: 0.0,
+            descriptor: Descriptor(self.descriptor),
+        };
+        let relative_sigma = f32::from(self.relative_sigma) / 65535.0;
+        (feature, PointDepth { depth_m: self.depth_m, relative_sigma })
+    }
 }
 
 /// First bytes of the file.
 const MAGIC: [u8; 4] = *b"KGSw";
 /// Version of the file.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Bytes of a point on disk, and of its copy on the way there.
 pub const RECORD_BYTES: usize = size_of::<Record>();
@@ -191,16 +222,7 @@ impl PlacePoints for PlacesFile {
         let records = self.records.chunks_exact_mut(RECORD_BYTES);
         let mut n_points = 0;
         for ((bytes, feature), depth) in records.zip(view.features).zip(view.depths) {
-            let record = Record {
-                descriptor: feature.descriptor.0,
-                pixel: feature.pixel,
-                direction: feature.direction,
-                scale: feature.scale,
-                min_eigenvalue: feature.min_eigenvalue,
-                depth_m: depth.depth_m,
-                relative_sigma: depth.relative_sigma,
-            };
-            bytes.copy_from_slice(record.as_bytes());
+            bytes.copy_from_slice(Record::new(feature, depth).as_bytes());
             n_points += 1;
         }
         if let Err(error) = self.write(slot, keyframe_id, words, n_points) {
@@ -219,9 +241,7 @@ impl PlacePoints for PlacesFile {
         let kept = self.features.iter_mut().zip(&mut self.depths).take(n_points);
         for (bytes, (feature, depth)) in self.records.chunks_exact(RECORD_BYTES).zip(kept) {
             let record = Record::read_from_bytes(bytes).ok()?;
-            let Record { descriptor, pixel, direction, scale, min_eigenvalue, depth_m, relative_sigma } = record;
-            *feature = Feature { pixel, scale, direction, min_eigenvalue, descriptor: Descriptor(descriptor) };
-            *depth = PointDepth { depth_m, relative_sigma };
+            (*feature, *depth) = record.point();
         }
         Some(PlaceView { features: &self.features[..n_points], depths: &self.depths[..n_points] })
     }
@@ -235,12 +255,34 @@ mod tests {
         let feature = |i: usize| Feature {
             pixel: [i as f32, 0.5],
             scale: 2.0,
-            direction: [0.6, 0.8],
-            min_eigenvalue: 3.0,
+            direction: [0.0, -1.0],
+            min_eigenvalue: 0.0,
             descriptor: Descriptor([look, i as u64, 7, u64::MAX]),
         };
-        let depth = |i: usize| PointDepth { depth_m: i as f32 * 0.1, relative_sigma: 0.02 };
+        let depth = |i: usize| PointDepth { depth_m: i as f32 * 0.1, relative_sigma: 0.2 };
         ((0..n).map(feature).collect(), (0..n).map(depth).collect())
+    }
+
+    #[test]
+    fn what_is_written_of_a_point_is_as_good_as_what_is_known_of_it() {
+        let feature = Feature {
+            pixel: [1240.97, 3.03],
+            scale: 4.0,
+            direction: [0.6, -0.8],
+            min_eigenvalue: 0.0,
+            descriptor: Descriptor([1, 2, 3, 4]),
+        };
+        let depth = PointDepth { depth_m: 12.345, relative_sigma: 0.0123 };
+        let (found, found_depth) = Record::new(&feature, &depth).point();
+        let check = |what: &str, a: f32, b: f32, most: f32| assert!((a - b).abs() <= most, "{what}: {a} for {b}");
+        for axis in 0..2 {
+            check("pixel", found.pixel[axis], feature.pixel[axis], 0.0626);
+            check("direction", found.direction[axis], feature.direction[axis], 2e-5);
+        }
+        check("sigma", found_depth.relative_sigma, depth.relative_sigma, 1e-5);
+        assert_eq!((found.scale, found.descriptor, found_depth.depth_m), (4.0, feature.descriptor, 12.345));
+        let beyond = Feature { pixel: [1e9, -5.0], ..feature };
+        assert_eq!(Record::new(&beyond, &depth).point().0.pixel, [8191.875, 0.0]);
     }
 
     #[test]
