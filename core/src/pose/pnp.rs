@@ -1,7 +1,7 @@
 //! The robust loop around the three-point solver.
 
 use super::robust::{trials_needed, truncated_cost};
-use super::{LandmarkMatch, PoseRefinement, Stop, p3p, refine_pose};
+use super::{LandmarkMatch, PoseRefinement, Stop, epnp, p3p, refine_pose};
 use crate::conventions::Rigid;
 use crate::math::Rng;
 use core::fmt;
@@ -56,16 +56,35 @@ const CUTOFFS: [f64; 2] = [3.0, 1.0];
 /// A landmark whose inverse depth is known worse than this fraction is no basis for a sample.
 const MAX_SAMPLE_UNCERTAINTY: f64 = 0.5;
 
+fn has_known_depth(m: &LandmarkMatch) -> bool {
+    m.inverse_depth > 0.0 && m.inverse_depth_sigma <= MAX_SAMPLE_UNCERTAINTY * m.inverse_depth
+}
+
+/// Place in the reference camera, m.
+fn reference_point(m: &LandmarkMatch) -> Vector3<f64> {
+    Vector3::new(m.reference_z1.x, m.reference_z1.y, 1.0) / m.inverse_depth
+}
+
 /// Draws three landmarks whose depth is known.
 fn sample_poses(matches: &[LandmarkMatch], rng: &mut Rng) -> heapless::Vec<Rigid, 4> {
     let Some(drawn) = rng.draw_distinct::<SAMPLE_SIZE>(matches.len()) else { return heapless::Vec::new() };
     let sample = drawn.map(|i| matches.get(i).copied().unwrap_or_default());
-    if sample.iter().any(|m| m.inverse_depth <= 0.0 || m.inverse_depth_sigma > MAX_SAMPLE_UNCERTAINTY * m.inverse_depth)
-    {
+    if !sample.iter().all(has_known_depth) {
         return heapless::Vec::new();
     }
-    let points = sample.map(|m| Vector3::new(m.reference_z1.x, m.reference_z1.y, 1.0) / m.inverse_depth);
-    p3p(&points, &sample.map(|m| m.seen_z1))
+    p3p(&sample.map(|m| reference_point(&m)), &sample.map(|m| m.seen_z1))
+}
+
+/// The pose from all landmarks that agree with a sample's, where that is better: three sightings carry their noise into the
+/// pose, and from far off the refinement can end beside it.
+fn pose_from_agreeing(sampled: &Rigid, cost: f64, matches: &[LandmarkMatch], settings: &PnpSettings) -> Rigid {
+    let inlier2 = settings.inlier_sigmas * settings.inlier_sigmas;
+    let agreeing = matches
+        .iter()
+        .filter(|m| has_known_depth(m) && m.squared_sigmas(sampled, settings.noise_z1) < inlier2)
+        .map(|m| (reference_point(m), m.seen_z1));
+    let better = |pose: &Rigid| score(pose, matches, settings.noise_z1, inlier2, cost).0 < cost;
+    epnp(agreeing).filter(better).unwrap_or(*sampled)
 }
 
 fn score(pose: &Rigid, matches: &[LandmarkMatch], noise_z1: f64, inlier2: f64, beaten: f64) -> (f64, usize) {
@@ -91,7 +110,7 @@ fn score(pose: &Rigid, matches: &[LandmarkMatch], noise_z1: f64, inlier2: f64, b
 /// O(trials * n), cut short for bad hypotheses; 4 KiB of stack.
 ///
 /// # Source
-/// Fischler & Bolles 1981; Torr & Zisserman 2000 (MSAC); Chum, Matas & Kittler 2003 (local optimisation).
+/// Fischler & Bolles 1981; Torr & Zisserman 2000 (MSAC); Chum, Matas & Kittler 2003 (local optimisation, here by EPnP).
 /// Own implementation.
 pub fn estimate_pnp(
     matches: &[LandmarkMatch],
@@ -114,8 +133,9 @@ pub fn estimate_pnp(
     while n_trials < wanted(n_inliers).clamp(settings.trials[0], settings.trials[1]) {
         n_trials += 1;
         for pose in sample_poses(matches, rng) {
-            if score(&pose, matches, settings.noise_z1, inlier2, cost).0 < cost {
-                let candidate = improve(&pose);
+            let (sampled_cost, _) = score(&pose, matches, settings.noise_z1, inlier2, cost);
+            if sampled_cost < cost {
+                let candidate = improve(&pose_from_agreeing(&pose, sampled_cost, matches, settings));
                 let (candidate_cost, n) = score(&candidate, matches, settings.noise_z1, inlier2, f64::INFINITY);
                 if candidate_cost < cost {
                     (best, cost, n_inliers) = (candidate, candidate_cost, n);
@@ -186,6 +206,24 @@ mod tests {
         check(10, Rigid::identity());
         check(3, Rigid::identity());
         check(3, se3::exp(&Vector6::new(1.0, -1.0, 0.5, 20.0, 3.0, 9.0)));
+    }
+
+    #[test]
+    fn all_that_agree_with_a_sample_know_better() {
+        let matches = scene(3);
+        let error = |pose: &Rigid| se3::log(&(*pose * truth().inverse())).norm();
+        let (mut n_better, mut n_sampled) = (0, 0);
+        for seed in 0..100 {
+            for pose in sample_poses(&matches, &mut Rng::new(seed, 0, 0)) {
+                let (cost, n_inliers) = score(&pose, &matches, SETTINGS.noise_z1, 9.0, f64::INFINITY);
+                if n_inliers > 30 {
+                    n_sampled += 1;
+                    n_better +=
+                        usize::from(error(&pose_from_agreeing(&pose, cost, &matches, &SETTINGS)) < error(&pose));
+                }
+            }
+        }
+        assert!(n_sampled > 20 && 4 * n_better > 3 * n_sampled, "{n_better} of {n_sampled}");
     }
 
     #[test]
