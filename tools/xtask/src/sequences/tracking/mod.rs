@@ -21,7 +21,7 @@ const RECORDINGS: [&str; 7] = [
 ];
 
 /// What is switched: name and settings.
-const ARMS: [(&str, &[&str]); 8] = [
+const ARMS: [(&str, &[&str]); 9] = [
     ("full", &[]),
     ("only E", &["tracking.pose_models=essential"]),
     ("only PnP", &["tracking.pose_models=pnp"]),
@@ -30,7 +30,12 @@ const ARMS: [(&str, &[&str]); 8] = [
     ("no dense fallback", &["tracking.dense_fallback=off"]),
     ("no BA", &["tracking.bundle_adjustment=off"]),
     ("learned matcher", &["tracking.matcher=xfeat"]),
+    ("loops closed", &[CLOSE_LOOPS]),
 ];
+
+/// Loops would hide what the tracker does by itself, so one arm alone closes them.
+const CLOSE_LOOPS: &str = "loop_closure.enabled=true";
+const LEAVE_LOOPS: &str = "loop_closure.enabled=false";
 
 /// Options of `cargo xtask sequences tracking`.
 #[derive(Debug, clap::Args)]
@@ -93,7 +98,8 @@ impl TrackingArgs {
         let frames = self.common.frames.map(|n| format!("--frames={n}"));
         let mapping = self.map.is_none().then_some("mapping.enabled=false");
         let steps = self.map.map(|n| format!("--iterations={n}"));
-        let settings = settings.iter().copied().chain(mapping).map(|setting| format!("--set={setting}"));
+        let loops = (!settings.contains(&CLOSE_LOOPS)).then_some(LEAVE_LOOPS);
+        let settings = settings.iter().copied().chain(loops).chain(mapping).map(|setting| format!("--set={setting}"));
         frames.into_iter().chain(steps).chain(settings).collect()
     }
 }
@@ -147,14 +153,24 @@ mod tests {
     fn mapping_is_off_unless_it_is_asked_for() {
         let common = CommonArgs { only: None, frames: Some(7), data: None, kilogs: None };
         let args = TrackingArgs { common, arms: ArmArgs { arms: Vec::new(), jobs: 1 }, map: None };
+        let loops_closed = ["loop_closure.enabled=true"];
+        assert_eq!(
+            args.options(&loops_closed),
+            ["--frames=7", "--set=loop_closure.enabled=true", "--set=mapping.enabled=false"]
+        );
         let settings = ["tracking.matcher=xfeat"];
         assert_eq!(
             args.options(&settings),
-            ["--frames=7", "--set=tracking.matcher=xfeat", "--set=mapping.enabled=false"]
+            [
+                "--frames=7",
+                "--set=tracking.matcher=xfeat",
+                "--set=loop_closure.enabled=false",
+                "--set=mapping.enabled=false"
+            ]
         );
         assert_eq!(
             TrackingArgs { map: Some(4), ..args }.options(&settings),
-            ["--frames=7", "--iterations=4", "--set=tracking.matcher=xfeat"]
+            ["--frames=7", "--iterations=4", "--set=tracking.matcher=xfeat", "--set=loop_closure.enabled=false"]
         );
     }
 }
