@@ -68,7 +68,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
             camera_rss_peak_bytes: watch.camera().map(|camera| camera.peak_bytes),
             device_peak_bytes: plan.compute.device_peak_bytes(),
             sealed_allocations: sealed.sealed_allocations,
-            rss_slope_bytes_per_km: watch.rss_slope_bytes_per_km(),
+            rss_slope_bytes_per_km: watch.growth().map(|growth| growth.bytes_per_km),
             ..Memory::planned(&plan.memory, usage, plan.budget.host_bytes(), plan.budget.device_bytes())
         },
         tracking: Tracking { loops: loops.n_loops, ..told.tally.tracking(path_length_m) },
@@ -84,6 +84,14 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     kept(report.write(&plan.out), &mut failures);
     kept(write_html(&plan.out, &report, told.tally.chart(), &pictures), &mut failures);
     summarize(plan, &report);
+    if let Some(growth) = watch.growth() {
+        let kib = |bytes: f64| bytes / f64::from(1 << 10);
+        log::info!(
+            "memory after the first 300 m: {:+.0} KiB per km, standard error {:.0} KiB",
+            kib(growth.bytes_per_km),
+            kib(growth.sigma)
+        );
+    }
     warn_of_losses(mapping.as_ref(), &told.tally, &quality);
     failures.extend(told.camera_failure);
     let mut failures = failures.into_iter();

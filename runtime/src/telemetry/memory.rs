@@ -1,6 +1,6 @@
 //! Resident memory as the kernel sees it, once a second.
 
-use super::slope::RssSlope;
+use super::slope::{Growth, RssSlope};
 use std::fs::File;
 use std::io::Read;
 use std::time::{Duration, Instant};
@@ -103,8 +103,8 @@ impl MemoryWatch {
     }
 
     /// Growth of this process over the distance driven; `None` below 600 m.
-    pub fn rss_slope_bytes_per_km(&self) -> Option<f64> {
-        self.slope.bytes_per_km()
+    pub fn growth(&self) -> Option<Growth> {
+        self.slope.growth()
     }
 }
 

@@ -6,4 +6,4 @@ mod slope;
 
 pub use memory::{MemoryWatch, ProcessMemory, process_memory};
 pub use processor::processor_name;
-pub use slope::RssSlope;
+pub use slope::{Growth, RssSlope};
