@@ -167,6 +167,7 @@ pub struct Mapper {
     pub(super) returning: Box<[GaussianParams]>,
     pub(super) background: Box<[[f32; 3]]>,
     pub(super) quota: GaussianQuota,
+    route_measure: RouteMeasure,
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
     pub(super) alignment: Alignment,
@@ -201,7 +202,8 @@ impl Mapper {
             paging: Paging::new(&capacity, &camera),
             returning: vec![NO_GAUSSIAN; capacity.gaussians_per_anchor].into(),
             background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
-            quota: GaussianQuota::new(settings.gaussians_per_m, RouteMeasure::new(settings.first_view_m, native)),
+            quota: GaussianQuota::new(settings.gaussians_per_m, settings.first_view_m),
+            route_measure: RouteMeasure::new(settings.first_view_m, native),
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             alignment: Alignment::with_capacity(capacity.alignment_steps),
@@ -232,7 +234,9 @@ impl Mapper {
         if !self.admit_keyframe(packet.ordinal, &packet.world_from_camera) {
             return Err(PacketRefused::RowInUse { frame_index });
         }
-        self.quota.arrive(&packet.world_from_camera);
+        let nearest_m =
+            self.paging.directory.nearest_view_m(&self.route_measure, packet.ordinal, &packet.world_from_camera);
+        self.quota.arrive(nearest_m);
         self.begin_exposure();
         self.begin_decoder(packet.ordinal);
         self.prune_after_window();

@@ -4,7 +4,8 @@ use super::mapper::CHUNK_KEYFRAMES;
 use super::realign::moved_placement;
 use crate::splat::KeyframePlacement;
 use kilogs_core::conventions::{Rigid, Similarity};
-use nalgebra::{Point3, Vector3};
+use kilogs_core::map::quota::RouteMeasure;
+use nalgebra::{Point3, Translation3, Vector3};
 
 /// Consecutive keyframes whose anchors leave and come back together.
 pub const PAGE_KEYFRAMES: u32 = 10;
@@ -250,6 +251,22 @@ impl PageDirectory {
     /// Whether the anchors of a keyframe are in memory.
     pub(super) fn holds(&self, ordinal: u32) -> bool {
         self.get(ordinal / PAGE_KEYFRAMES).is_some_and(|group| group.is_resident)
+    }
+
+    /// What a keyframe shows that no other one did whose anchors are in memory, by its way from the nearest of them, m;
+    /// `None` when there is no other.
+    pub(super) fn nearest_view_m(
+        &self,
+        measure: &RouteMeasure,
+        ordinal: u32,
+        world_from_camera: &Rigid,
+    ) -> Option<f64> {
+        let others = self.resident().flat_map(PageGroup::keyframes).filter(|(other, _)| *other != ordinal);
+        let steps_m = others.map(|(_, at)| {
+            let world_from_other = Rigid::from_parts(Translation3::from(at.translation_m), at.rotation);
+            measure.step_m(&world_from_other, world_from_camera)
+        });
+        steps_m.reduce(f64::min)
     }
 
     /// Notes where a keyframe is; false when there is no room for its group.
