@@ -32,6 +32,9 @@ pub struct RefineArgs {
     /// Train this long instead; judging the map before and after is not counted.
     #[arg(long, value_name = "M", value_parser = minutes)]
     pub minutes: Option<f64>,
+    /// Table of what each view scores afterwards: chunk, metres driven, PSNR, SSIM.
+    #[arg(long, value_name = "FILE")]
+    pub views: Option<PathBuf>,
     /// What all mapping commands share.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -51,7 +54,7 @@ pub fn run(args: &RefineArgs) -> Result<(), RunError> {
     let steps = args.iterations.unwrap_or(DEFAULT_STEPS_PER_KEYFRAME * map.keyframes().len() as u64);
     let effort =
         args.minutes.map_or(Effort::Iterations(steps), |minutes| Effort::Time(Duration::from_secs_f64(60.0 * minutes)));
-    let summary = refine::run(&RefineRequest { map: &map, plan: &plan, effort })?;
+    let summary = refine::run(&RefineRequest { map: &map, plan: &plan, effort, views_csv: args.views.as_deref() })?;
     print!("{summary}");
     Ok(())
 }

@@ -185,9 +185,12 @@ pub(super) const SETTINGS: &[Setting] = &[
     Setting {
         key: "mapping.decoder",
         kind: Kind::Choice {
-            available: &["direct", "learned"],
+            available: &["direct", "learned", "shared"],
             planned: &[],
-            put: |settings, word| settings.mapping.mapper.learned_decoder = word == "learned",
+            put: |settings, word| {
+                settings.mapping.mapper.learned_decoder = word != "direct";
+                settings.mapping.mapper.shared_decoder = word == "shared";
+            },
         },
     },
     number!("mapping.resolution", Range::closed(0.125, 1.0), mapping.mapper.resolution),
@@ -248,6 +251,7 @@ pub(super) const SETTINGS: &[Setting] = &[
     number!("mapping.loss_depth", Range::closed(0.0, 100.0), mapping.mapper.step.weights.depth),
     number!("mapping.loss_isotropy", Range::closed(0.0, 100.0), mapping.mapper.step.weights.isotropy),
     number!("mapping.loss_exposure", Range::closed(0.0, 100.0), mapping.mapper.step.weights.exposure),
+    whole!("lifecycle.stretch_keyframes", Range::closed(1.0, 10000.0), lifecycle.stretch_keyframes),
     switch!("lifecycle.densify", None, lifecycle.densify),
     number!("lifecycle.densify_px", Range::closed(0.0, 10000.0), lifecycle.densify_px),
     switch!("lifecycle.prune", None, lifecycle.prune),

@@ -69,6 +69,25 @@ impl MapStoreEditor {
         }
     }
 
+    /// Gives every chunk of `map` the decoder of the newest one.
+    ///
+    /// # Errors
+    /// Like [`replace_page`](Self::replace_page), and when a chunk cannot be read; the others have it then.
+    pub fn share_newest_decoder(&mut self, map: &MapStoreReader) -> Result<(), StoreError> {
+        let (mut newest, mut file, mut texels) = (Vec::new(), Vec::new(), Vec::new());
+        let Some(last) = map.chunks().last().map(|label| label.chunk_id) else { return Ok(()) };
+        let newest = map.read_chunk(last, &mut newest)?;
+        for label in map.chunks().filter(|label| label.chunk_id != last) {
+            let chunk = map.read_chunk(label.chunk_id, &mut file)?;
+            texels.resize(chunk.background_texels(), [0.0; 3]);
+            chunk.read_background(&mut texels);
+            let background = ChunkBackground { width: chunk.background_width, texels: &texels };
+            let label = ChunkLabel { revision: label.revision.saturating_add(1), ..*label };
+            self.replace_chunk(&label, newest.decoder, background)?;
+        }
+        Ok(())
+    }
+
     /// Brings the names to the disk and counts anew. The counts of a map whose writing was interrupted stay unknown.
     ///
     /// # Errors
@@ -96,4 +115,40 @@ impl MapStoreEditor {
 fn over_budget(path: PathBuf, capacity: usize) -> StoreError {
     let row = "[store.page_anchors] in memory_budget.toml";
     StoreError::OverBudget { path, what: "bytes or more", found: capacity + 1, capacity, row }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{create, open, scratch};
+    use super::*;
+
+    /// Decoder and background of a chunk.
+    fn chunk(map: &MapStoreReader, chunk_id: u32) -> (u32, Vec<u8>, Vec<[f32; 3]>) {
+        let mut file = Vec::new();
+        let view = map.read_chunk(chunk_id, &mut file).expect("a whole chunk");
+        let mut texels = vec![[0.0; 3]; view.background_texels()];
+        view.read_background(&mut texels);
+        (view.decoder.kind, view.decoder.bytes.to_vec(), texels)
+    }
+
+    #[test]
+    fn a_shared_decoder_is_the_newest_one_and_skies_stay() {
+        let scratch = scratch();
+        let store = create(scratch.path());
+        for chunk_id in 0..3_u8 {
+            let label = ChunkLabel { chunk_id: chunk_id.into(), ..ChunkLabel::default() };
+            let decoder = DecoderParams { kind: 1, bytes: &[chunk_id; 8] };
+            let background = ChunkBackground { width: 2, texels: &[[f32::from(chunk_id); 3]; 4] };
+            store.write_chunk(&label, decoder, background).expect("taken");
+        }
+        store.finish().expect("written");
+        let map = open(scratch.path());
+        let mut editor = MapStoreEditor::open(&map, 4096).expect("writable");
+        editor.share_newest_decoder(&map).expect("shared");
+        editor.finish().expect("written");
+        let map = open(scratch.path());
+        for chunk_id in 0..3_u8 {
+            assert_eq!(chunk(&map, chunk_id.into()), (1, vec![2; 8], vec![[f32::from(chunk_id); 3]; 4]));
+        }
+    }
 }

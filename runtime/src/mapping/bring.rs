@@ -161,6 +161,7 @@ impl Mapper {
         if self.decoders.is_learned() {
             self.backend.write_decoder(row, self.decoders.weights());
         }
+        self.share_decoder();
         if !is_usable {
             let of_chunk = self.paging.directory.iter_mut().filter(|group| group.chunk() == chunk);
             of_chunk.for_each(|group| group.parts.lost |= group.parts.stored & !group.parts.arrived);

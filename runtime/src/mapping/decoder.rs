@@ -90,6 +90,20 @@ impl Mapper {
         }
     }
 
+    /// Gives every chunk in memory the decoder that learns, when all chunks share one.
+    pub(super) fn share_decoder(&mut self) {
+        let learning = self.decoders.learning_chunk.filter(|_| self.settings.shared_decoder);
+        if !learning.is_some_and(|chunk| self.read_decoder(chunk)) {
+            return;
+        }
+        let chunk_rows = &self.paging.chunk_rows;
+        let others =
+            chunk_rows.ids().filter(|&chunk| Some(chunk) != learning).filter_map(|chunk| chunk_rows.row(chunk));
+        for row in others.filter_map(|row| u16::try_from(row).ok()) {
+            self.backend.write_decoder(row, &self.decoders.weights);
+        }
+    }
+
     /// Row of the decoder that learns.
     pub(super) fn learning_row(&self) -> Option<u16> {
         self.decoders.learning_chunk.and_then(|chunk| self.row_of_chunk(chunk))

@@ -69,6 +69,7 @@ impl Mapper {
             report.n_iterations += 1;
             psnr_sum_db += -10.0 * step.loss.mse.max(1e-10).log10();
         }
+        self.share_decoder();
         report.mean_psnr_db = psnr_sum_db / report.n_iterations.max(1) as f32;
         self.counters.iterations += u64::from(report.n_iterations);
         report

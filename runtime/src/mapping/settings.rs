@@ -74,6 +74,8 @@ pub struct MapperSettings {
     pub older_share: f32,
     /// Chunks have decoders that are learned; the splat backend must have room for them.
     pub learned_decoder: bool,
+    /// All chunks have the same decoder, which goes on learning: what that forgets is what chunks of their own keep.
+    pub shared_decoder: bool,
     /// Every keyframe has an exposure that is learned beside the map; pictures are never corrected by it.
     pub learned_exposure: bool,
     /// Beyond this, the depth of motion stereo is trusted less, by the square of the distance, m.
@@ -117,6 +119,7 @@ impl MapperSettings {
             newest_share: 0.35,
             older_share: 0.15,
             learned_decoder: false,
+            shared_decoder: false,
             learned_exposure: false,
             trusted_depth_m: 20.0,
             step: STEP,

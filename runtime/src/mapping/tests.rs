@@ -252,6 +252,22 @@ fn a_new_chunk_begins_with_the_decoder_of_the_one_before_which_is_frozen() {
     assert!(mapper.backend.read_decoder(1, &mut after[1]) && after[1] != fresh[1], "the new one learns");
 }
 
+#[test]
+fn a_shared_decoder_goes_on_learning_for_the_chunks_before_too() {
+    let settings = MapperSettings { shared_decoder: true, ..settings(true) };
+    let (mut mapper, mut sink) = (mapper_of(1, CAPACITY, settings), MemorySink::default());
+    let mut decoders = [vec![0.0; DecoderShape::new(2).len()], vec![0.0; DecoderShape::new(2).len()]];
+    let mut before = Vec::new();
+    for ordinal in CHUNK_KEYFRAMES - 3..CHUNK_KEYFRAMES + 2 {
+        before.clone_from(&decoders[0]);
+        let pixels = picture(STEP_M * f64::from(ordinal));
+        mapper.insert_keyframe(&packet(ordinal, &pixels), &mut sink).expect("a usable keyframe");
+        mapper.optimize(6);
+        assert!(mapper.backend.read_decoder(0, &mut decoders[0]) && decoders[0] != before, "{ordinal}");
+    }
+    assert!(mapper.backend.read_decoder(1, &mut decoders[1]) && decoders[0] == decoders[1]);
+}
+
 #[path = "loss_term_tests.rs"]
 mod loss_terms;
 

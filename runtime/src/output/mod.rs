@@ -24,6 +24,7 @@ pub mod report;
 
 mod html;
 mod renders;
+mod view_table;
 
 pub use drive_chart::{DriveBucket, DriveChart};
 pub use error::OutputError;
@@ -35,3 +36,4 @@ pub use renders::{Picture, RenderedKeyframe, write_render};
 pub use report::Report;
 pub use stage_times::{N_STAGES, STAGES, Stage, StageTimes};
 pub use trajectory::TrajectorySummary;
+pub use view_table::{VIEWS_CSV, ViewTable};

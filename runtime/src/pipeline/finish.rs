@@ -7,10 +7,9 @@ use super::plan::RunPlan;
 use super::supervisor::Told;
 use super::tally::Tally;
 use crate::budget::{Row, Usage};
-use crate::map_store::MapStoreReader;
+use crate::map_store::{MapStoreEditor, MapStoreReader};
 use crate::output::report::{Backend, Mapping, Memory, Report, Time, Tracking};
-use crate::output::{Picture, RenderedKeyframe, write_html, write_render};
-use crate::render_views::command::RenderError;
+use crate::output::{Picture, RenderedKeyframe, VIEWS_CSV, ViewTable, write_html, write_render};
 use crate::render_views::{MapQuality, judge_map};
 use crate::run_error::RunError;
 use crate::seal;
@@ -131,7 +130,7 @@ fn warn_of_losses(mapping: Option<&MappingSummary>, tally: &Tally, quality: &Map
         (mapping.map_or(0, |m| m.n_views_refused), "views could not be used by the map, see above; it is without them"),
         (input.n_connection_failures, "times the memory of a camera process could not be mapped"),
         (input.n_ack_failures, "frames could not be acknowledged to the camera"),
-        (quality.views_skipped, "stored views have no usable image and are not in the figures"),
+        (quality.views_skipped, "pictures of stored views cannot be read and are not in the figures"),
         (viewer.pages_damaged, "pages of the map could not be read; what they held is missing in the figures"),
         (viewer.anchors_left_out, "anchors of the map could not be shown and are missing in the figures"),
         (n_overflowed, "elements of [splat] found no room while the map was judged; their renders are incomplete"),
@@ -157,10 +156,18 @@ fn observe_at_the_end(usage: &Usage, mapping: Option<&MappingSummary>, watch: &M
 
 fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError> {
     let map = MapStoreReader::open(&plan.map_folder(), plan.budget.capacity(Row::StoreKeyframeTable))?;
+    if plan.settings.mapping.mapper.shared_decoder {
+        // Chunks that left in the drive have it as it was then.
+        let mut editor = MapStoreEditor::open(&map, plan.budget.store_capacity().page_bytes)?;
+        editor.share_newest_decoder(&map)?;
+        editor.finish()?;
+    }
     let mut backend = memory::backend(plan)?;
     let every = map.keyframes().len().div_ceil(N_RENDERS).max(1);
     let (mut n_seen, mut pictures) = (0, Vec::with_capacity(N_RENDERS));
+    let mut table = ViewTable::create(&plan.out.join(VIEWS_CSV))?;
     let quality = judge_map(&map, backend.as_mut(), &mut |view| {
+        table.push(view)?;
         let is_wanted = !view.keyframe.is_held_out && n_seen % every == every / 2;
         n_seen += usize::from(!view.keyframe.is_held_out);
         if is_wanted {
@@ -171,14 +178,17 @@ fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError
             let keyframe = view.keyframe;
             let (index, time_ns) = (keyframe.frame_index, keyframe.timestamp_ns);
             let written = write_render(&plan.out, index, time_ns, view.quality, camera, render);
-            let failed = |e: crate::output::OutputError| RenderError::Write {
-                path: plan.out.join("renders"),
-                reason: e.to_string(),
-            };
-            pictures.push(written.map_err(failed)?);
+            pictures.push(written?);
         }
         Ok(())
     })?;
+    table.finish()?;
+    if quality.views_without_picture > 0 {
+        log::info!(
+            "{} keyframes have no picture of their own, because their street had been driven before or the disk was late",
+            quality.views_without_picture
+        );
+    }
     Ok((quality, pictures))
 }
 

@@ -9,12 +9,14 @@ use crate::budget::Row;
 use crate::fit::{Clock, Effort, TrainingImages};
 use crate::map_store::{MapStoreEditor, MapStoreReader};
 use crate::mapping::{PruneLimits, mapping_camera};
+use crate::output::ViewTable;
 use crate::pipeline::{self, RunPlan};
 use crate::render_views::judge_map;
 use crate::run_error::RunError;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_core::map::quota::RouteMeasure;
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -26,6 +28,8 @@ pub struct RefineRequest<'a> {
     pub plan: &'a RunPlan,
     /// How long to train.
     pub effort: Effort,
+    /// Where to write what each view scores afterwards.
+    pub views_csv: Option<&'a Path>,
 }
 
 /// Ticks of the progress bar.
@@ -36,23 +40,26 @@ const BAR_TICKS: u64 = 1000;
 /// # Errors
 /// [`RunError`]; what was stored until then stays and is whole. Ctrl-C ends with what was trained until then.
 pub fn run(request: &RefineRequest<'_>) -> Result<RefineSummary, RunError> {
-    let RefineRequest { map, plan, effort } = *request;
+    let RefineRequest { map, plan, effort, views_csv } = *request;
     let is_interrupted = Arc::new(AtomicBool::new(false));
     let on_signal = Arc::clone(&is_interrupted);
     ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
-    // A folder that cannot be written is known before the work.
+    // What cannot be written is known before the work.
     let editor = MapStoreEditor::open(map, plan.budget.store_capacity().page_bytes)?;
-    let before = score(map, plan)?;
+    let table = views_csv.map(ViewTable::create).transpose()?;
+    let before = score(map, plan, None)?;
     let training = train(map, plan, effort, editor, &mut || !is_interrupted.load(Ordering::Relaxed))?;
     let trained = MapStoreReader::open(map.folder(), plan.budget.capacity(Row::StoreKeyframeTable))?;
-    let after = score(&trained, plan)?;
+    let after = score(&trained, plan, table)?;
     Ok(RefineSummary { before, after, training })
 }
 
-fn score(map: &MapStoreReader, plan: &RunPlan) -> Result<Scores, RunError> {
+fn score(map: &MapStoreReader, plan: &RunPlan, mut table: Option<ViewTable>) -> Result<Scores, RunError> {
     let mut backend = pipeline::backend(plan)?;
-    let quality = judge_map(map, backend.as_mut(), &mut |_| Ok(()))?;
+    let quality =
+        judge_map(map, backend.as_mut(), &mut |view| Ok(table.as_mut().map_or(Ok(()), |table| table.push(view))?))?;
+    table.map_or(Ok(()), ViewTable::finish)?;
     Ok(Scores::new(map, &quality, map.bytes()?))
 }
 
@@ -74,7 +81,7 @@ pub(super) fn train(
     let images = StoredImages::new(map);
     let kept_bytes = plan.budget.capacity(Row::MapKeyframeImages) * crate::fit::ImageSource::bytes(&images);
     let mut memory = StretchMemory::new(map, backend.as_mut(), editor);
-    let stretch_keyframes = memory.longest_stretch(schedule::STRETCH_KEYFRAMES.min(n_exposures));
+    let stretch_keyframes = memory.longest_stretch(plan.settings.lifecycle.stretch_keyframes.min(n_exposures));
     let mut trainer = Trainer {
         map,
         memory,

@@ -8,10 +8,6 @@ use std::ops::Range;
 /// the end of a stretch both times.
 const PASSES: usize = 2;
 
-/// Keyframes of a stretch at most. Longer ones cost more memory and are stored later; shorter ones have more ends, where
-/// what is trained has been trained for the neighbours before.
-pub(super) const STRETCH_KEYFRAMES: usize = 100;
-
 /// A part of the route that is trained together.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Part {

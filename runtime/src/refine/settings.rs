@@ -3,6 +3,9 @@
 /// How Gaussians come and go while a map is refined (method.md 12).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LifecycleSettings {
+    /// Keyframes of a stretch at most, which are trained and scored together. Longer ones cost more memory and are stored
+    /// later; shorter ones have more ends, where what is trained has been trained for the neighbours before.
+    pub stretch_keyframes: usize,
     /// Anchors that show much of what is wrong get another Gaussian.
     pub densify: bool,
     /// Masked pixels per view, at 480 px width, above which they do.
@@ -33,6 +36,7 @@ pub enum PruneScore {
 impl LifecycleSettings {
     /// The values that the shipped maps were measured with.
     pub const MEASURED: Self = Self {
+        stretch_keyframes: 100,
         densify: false,
         densify_px: 5.0,
         prune: false,

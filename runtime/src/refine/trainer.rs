@@ -81,7 +81,7 @@ impl Trainer<'_> {
 
     /// Trains until the part's share of the effort is spent; false when all training is to end.
     fn train_part(&mut self, part: &Part, nth: u64) -> bool {
-        let mut order: Vec<usize> = part.keyframes.clone().filter(|view| !self.blind.contains(view)).collect();
+        let mut order: Vec<usize> = part.keyframes.clone().filter(|&view| self.is_seen(view)).collect();
         let mut rng = Rng::new(self.seed, nth, VIEW_CHOICE);
         self.begin_exposures(part);
         let mut psnr = MeanPsnr::default();
@@ -113,6 +113,12 @@ impl Trainer<'_> {
             psnr.mean_db()
         );
         true
+    }
+
+    /// Whether a keyframe can be trained on: one of a street that was driven before has no picture.
+    fn is_seen(&self, view_idx: usize) -> bool {
+        let has_picture = self.map.keyframes().get(view_idx).is_some_and(|keyframe| keyframe.image_bytes > 0);
+        has_picture && !self.blind.contains(&view_idx)
     }
 
     /// Every picture of the part counts as exposed like the map until steps say otherwise.
@@ -171,7 +177,7 @@ impl Trainer<'_> {
         resolution: f64,
         look: impl FnOnce(&mut StretchMemory<'_>, &TrainingView<'_>, u16) -> T,
     ) -> Option<T> {
-        let keyframe = self.map.keyframes().get(view_idx).filter(|_| !self.blind.contains(&view_idx))?;
+        let keyframe = self.map.keyframes().get(view_idx).filter(|_| self.is_seen(view_idx))?;
         let channels = self.images.channels();
         let image = self.images.at(view_idx, resolution);
         let (Ok((camera, pixels)), Some(chunk_row)) = (image, self.memory.chunk_row(keyframe.chunk_id)) else {

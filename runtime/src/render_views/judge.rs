@@ -33,8 +33,10 @@ pub struct MapQuality {
     pub train: QualityAverage,
     /// Held-out views.
     pub held_out: QualityAverage,
-    /// Views without a usable image, in none of the averages.
+    /// Views without the image that they should have, in none of the averages.
     pub views_skipped: u64,
+    /// Keyframes that were stored without a picture.
+    pub views_without_picture: u64,
     /// How the map was loaded.
     pub viewer: ViewerCounts,
 }
@@ -67,6 +69,10 @@ pub fn judge_map(
     for view in views {
         bar.inc(1);
         let driven_m = driven.at(view);
+        if view.image_bytes == 0 {
+            quality.views_without_picture += 1;
+            continue;
+        }
         let image = match map.read_image(view) {
             Ok(image) => image,
             Err(problem) => {

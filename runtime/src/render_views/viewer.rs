@@ -167,6 +167,9 @@ pub enum RenderError {
     /// The trajectory could not be read.
     #[error(transparent)]
     Trajectory(#[from] kilogs_eval::command::EvalError),
+    /// A table of views could not be written.
+    #[error(transparent)]
+    Table(#[from] crate::output::OutputError),
     /// A picture could not be written.
     #[error("writing {path}: {reason}; check that the folder can be written and has room")]
     Write {
@@ -184,7 +187,7 @@ impl RenderError {
             Self::Store(_) => StoreError::EXIT_CODE,
             Self::Refused { .. } => 2,
             Self::Trajectory(_) => 3,
-            Self::Write { .. } => 1,
+            Self::Table(_) | Self::Write { .. } => 1,
         }
     }
 }

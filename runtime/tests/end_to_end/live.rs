@@ -67,7 +67,8 @@ fn a_camera_may_die_and_come_back() {
     // Both cameras together sent for about three seconds.
     let n_seen = count(&report, "/frames/received") - count(&report, "/frames/dropped");
     assert!(n_seen >= 10, "{report}");
-    for name in ["trajectory_tum.txt", "odometry_tum.txt", "frames.csv", "report.html", "map/manifest.kgs"] {
+    for name in ["trajectory_tum.txt", "odometry_tum.txt", "frames.csv", "views.csv", "report.html", "map/manifest.kgs"]
+    {
         assert!(out.path().join(name).exists(), "{name} is missing: {}", ended.stderr);
     }
 }

@@ -90,11 +90,18 @@ fn reason_of_failure(text: &str) -> String {
     line.trim_start_matches("error: ").to_owned()
 }
 
+/// A text of an output folder.
+pub(super) fn read_text(path: &Path) -> Result<String, StepFailed> {
+    std::fs::read_to_string(path).map_err(|error| unreadable(path, &error))
+}
+
 /// A JSON document of an output folder.
 pub(super) fn read_json(path: &Path) -> Result<Value, StepFailed> {
-    let broken = |reason: String| StepFailed::Broken(format!("reading {}: {reason}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| broken(error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| broken(error.to_string()))
+    serde_json::from_str(&read_text(path)?).map_err(|error| unreadable(path, &error))
+}
+
+fn unreadable(path: &Path, error: &dyn std::fmt::Display) -> StepFailed {
+    StepFailed::Broken(format!("reading {}: {error}", path.display()))
 }
 
 #[cfg(test)]

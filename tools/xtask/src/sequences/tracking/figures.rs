@@ -1,5 +1,6 @@
 //! The figures of one run, out of its output folder.
 
+use crate::sequences::bench::read_text;
 use crate::sequences::read_json;
 use crate::step::StepFailed;
 use serde_json::Value;
@@ -57,15 +58,11 @@ impl Figures {
     pub fn read(out: &Path, spoilt: Option<Range<u64>>) -> Result<Self, StepFailed> {
         let report = read_json(&out.join("report.json"))?;
         let eval = read_json(&out.join("eval.json")).unwrap_or(Value::Null);
-        let read = |name: &str| {
-            let path = out.join(name);
-            std::fs::read_to_string(&path).map_err(|e| StepFailed::Broken(format!("reading {}: {e}", path.display())))
-        };
-        let frames = read("frames.csv")?;
+        let frames = read_text(&out.join("frames.csv"))?;
         let all = Tally::of(&frames, |_, status| status != "dropped")?;
         let in_range =
             |range: Range<u64>| Tally::of(&frames, move |index, status| range.contains(&index) && status == "tracked");
-        let moved_m = moved_m(&read("trajectory_tum.txt")?);
+        let moved_m = moved_m(&read_text(&out.join("trajectory_tum.txt"))?);
         Ok(Self { report, eval, all, spoilt: spoilt.map(in_range).transpose()?, moved_m })
     }
 
