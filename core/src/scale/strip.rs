@@ -215,7 +215,7 @@ impl Alignment {
         }
     }
 
-    /// Normal equations over the strip's pixels that show the road. An infinite `noise` weighs all pixels alike.
+    /// Normal equations (lower triangle) over the strip's pixels that show the road. An infinite `noise` weighs all pixels alike.
     pub(super) fn equations(
         &self,
         strip: &Strip<'_>,
@@ -259,13 +259,23 @@ impl Alignment {
                 moments.add(value, later, weight, r.abs());
                 let along = self.gain * inverse_z * (gx * c.fx * (t.x - u * t.z) + gy * c.fy * (t.y - v * t.z));
                 let jacobian = Vector5::new(along * ray.x, along * ray.y, along, value, 1.0);
-                hessian.ger(weight, &jacobian, &jacobian, 1.0);
+                add_lower(&mut hessian, weight, &jacobian);
                 gradient.axpy(weight * r, &jacobian, 1.0);
             }
         }
         let absolute = moments.absolute / moments.n.max(f64::MIN_POSITIVE);
         let noise = (SIGMA_PER_MEAN_ABSOLUTE * absolute).max(MIN_NOISE_GREY);
         (hessian, gradient, Fit { n_pixels, correlation: moments.correlation(), noise })
+    }
+}
+
+/// Adds a weighted square of a row to the lower triangle, which is all that its factorisation reads.
+fn add_lower(hessian: &mut Normal5, weight: f64, row: &Vector5) {
+    for j in 0..5 {
+        let weighted = weight * row[j];
+        for i in j..5 {
+            hessian[(i, j)] += weighted * row[i];
+        }
     }
 }
 

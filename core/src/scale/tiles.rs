@@ -185,7 +185,7 @@ fn tiles<'a, 's>(
         let (first, end) = ends.map_or((0, 0), |(first, end)| (first.div_ceil(TILE_PX[0]), end / TILE_PX[0]));
         (first..end.min(MAX_TILES[0])).map(move |tile_column| {
             let corner = [tile_column * TILE_PX[0], row];
-            ([tile_column, tile_row], Tile { strip, rotation, translation, corner })
+            ([tile_column, tile_row], Tile::new(strip, &rotation, translation, corner))
         })
     })
 }
@@ -221,33 +221,45 @@ fn excess(variance: f64, least: f64) -> f64 {
     (variance - least) * n / (2.0 * PIXELS_PER_INDEPENDENT * least.max(NOISE_GREY * NOISE_GREY))
 }
 
-/// A rectangle of the later image.
+/// A rectangle of the later image, with what the heights that are tried have in common.
 struct Tile<'a, 's> {
     strip: &'s Strip<'a>,
-    rotation: Matrix3<f64>,
     translation: Vector3<f64>,
-    corner: [usize; 2],
+    pixels: [TilePixel; TILE_PX[0] * TILE_PX[1]],
 }
 
-impl Tile<'_, '_> {
+#[derive(Clone, Copy, Default)]
+struct TilePixel {
+    ray: Vector3<f64>,
+    /// The ray in the earlier camera's axes.
+    turned: Vector3<f64>,
+    /// Grey value in the later image.
+    later: Option<f64>,
+}
+
+impl<'a, 's> Tile<'a, 's> {
+    fn new(strip: &'s Strip<'a>, rotation: &Matrix3<f64>, translation: Vector3<f64>, corner: [usize; 2]) -> Self {
+        let mut pixels = [TilePixel::default(); TILE_PX[0] * TILE_PX[1]];
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            let (x, y) = (corner[0] + i % TILE_PX[0], corner[1] + i / TILE_PX[0]);
+            let ray = strip.ray(x, y);
+            *pixel = TilePixel { ray, turned: rotation * ray, later: strip.later_at(x, y) };
+        }
+        Self { strip, translation, pixels }
+    }
+
     /// Variance of the differences between the two images when the road is this plane; infinite where it is not seen.
     fn variance(&self, plane: &Vector3<f64>) -> f64 {
-        let differences = self.pixels().map(|(x, y)| {
-            let ray = self.strip.ray(x, y);
-            let seen = self.strip.earlier_grey(&(self.rotation * ray + self.translation * plane.dot(&ray)))?;
-            Some(seen - self.strip.later_at(x, y)?)
+        let differences = self.pixels.iter().map(|p| {
+            let seen = self.strip.earlier_grey(&(p.turned + self.translation * plane.dot(&p.ray)))?;
+            Some(seen - p.later?)
         });
         variance(differences).unwrap_or(f64::INFINITY)
     }
 
     /// Variance of its grey values.
     fn texture(&self) -> Option<f64> {
-        variance(self.pixels().map(|(x, y)| self.strip.later_at(x, y)))
-    }
-
-    fn pixels(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let [column, row] = self.corner;
-        (row..row + TILE_PX[1]).flat_map(move |y| (column..column + TILE_PX[0]).map(move |x| (x, y)))
+        variance(self.pixels.iter().map(|p| p.later))
     }
 }
 
