@@ -92,6 +92,12 @@ impl<'m> LoopCloser<'m> {
         })
     }
 
+    /// Tracking was lost before the next keyframe: it may show any place of before, and a loop says where it is.
+    pub fn note_lost(&mut self, next_ordinal: u32) {
+        self.recognizer.begin_anew(next_ordinal);
+        self.last_closed = None;
+    }
+
     /// Takes in the next keyframe and closes the loop that it shows, if there is one.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 use crate::math::sim3::Matrix7;
 use crate::places::{RecognizerSettings, VerificationSettings};
 use crate::pose_graph::{Extent, Gauge, OptimizeSettings, information_of_sigmas};
+use nalgebra::Matrix6;
 
 /// Constants of the [`LoopCloser`](super::LoopCloser).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +68,34 @@ impl OdometryNoise {
 
     /// Information of a step of this length, for [`KeyframePacket`](super::KeyframePacket).
     pub fn information(&self, step_m: f64) -> Matrix7 {
+        let [rotation_rad, translation_m, log_scale] = self.sigmas(step_m);
+        information_of_sigmas(rotation_rad, translation_m, log_scale)
+    }
+
+    /// Information of a step on which tracking was lost.
+    ///
+    /// # Inputs
+    /// * `grown`: by how much the odometry's covariance grew on it, `[theta, p]` (rad, m).
+    /// * `log_scale_sigma`: of the scale that the odometry has begun anew with.
+    ///
+    /// # Output
+    /// The same in all directions, as large as in the worst.
+    pub fn blind_information(&self, step_m: f64, grown: &Matrix6<f64>, log_scale_sigma: f64) -> Matrix7 {
+        let [rotation_rad, translation_m, log_scale] = self.sigmas(step_m);
+        // Written so that NaN, and a covariance that shrinks, leave what a step is off by anyway.
+        let worst = |first: usize| (first..first + 3).map(|i| grown[(i, i)]).fold(0.0, f64::max);
+        let with = |sigma: f64, variance: f64| libm::sqrt(sigma * sigma + variance);
+        let log_scale_variance = if log_scale_sigma.is_finite() { log_scale_sigma * log_scale_sigma } else { 1.0 };
+        information_of_sigmas(
+            with(rotation_rad, worst(0)),
+            with(translation_m, worst(3)),
+            with(log_scale, log_scale_variance),
+        )
+    }
+
+    /// Standard deviations of a step of this length: rotation, translation, logarithm of the scale.
+    fn sigmas(&self, step_m: f64) -> [f64; 3] {
         let root = libm::sqrt(step_m.max(self.min_step_m));
-        information_of_sigmas(self.rotation_rad * root, self.translation_m * root, self.log_scale * root)
+        [self.rotation_rad, self.translation_m, self.log_scale].map(|sigma| sigma * root)
     }
 }

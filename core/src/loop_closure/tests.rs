@@ -12,7 +12,7 @@ use crate::places::{
 };
 use crate::pose::{Match, PointMatch};
 use crate::pose_graph::{Column, FactorBlock, GraphCapacities, Junction, LoopEdge, Node, Place, SolverStorage};
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 use std::vec;
 use std::vec::Vec;
 
@@ -146,12 +146,21 @@ fn observe(
 
 /// Closes the loops of a drive; `shows` says which place each keyframe looks like.
 fn drive(n: u32, shows: impl Fn(u32) -> u32, capacities: LoopCapacities) -> (Vec<(u32, JudgedCandidate)>, f64, f64) {
-    let odometry = odometry(n);
+    drive_by(&odometry(n), |_| OdometryNoise::STANDARD.information(3.0), shows, capacities)
+}
+
+/// The same with an odometry, and what is known of the step to each keyframe.
+fn drive_by(
+    odometry: &[Rigid],
+    information: impl Fn(u32) -> Matrix7,
+    shows: impl Fn(u32) -> u32,
+    capacities: LoopCapacities,
+) -> (Vec<(u32, JudgedCandidate)>, f64, f64) {
+    let n = odometry.len() as u32;
     with_closer(capacities, |closer| {
-        let information = OdometryNoise::STANDARD.information(3.0);
         let mut judged = Vec::new();
-        for (k, odometry_from_camera) in (0..n).zip(&odometry) {
-            judged.extend(observe(closer, (k, look(k, shows(k))), *odometry_from_camera, information));
+        for (k, odometry_from_camera) in (0..n).zip(odometry) {
+            judged.extend(observe(closer, (k, look(k, shows(k))), *odometry_from_camera, information(k)));
         }
         let off = |k: u32| {
             let odometry_from_keyframe = Similarity::from_isometry(odometry[k as usize], 1.0);
@@ -229,6 +238,27 @@ fn a_place_that_only_looks_the_same_moves_nothing() {
     );
     assert_eq!(count(&judged, |d| d == LoopDecision::Accepted), 0);
     assert!((before_m - after_m).abs() < 1e-9, "{before_m} m before, {after_m} m after");
+}
+
+#[test]
+fn a_drive_that_was_lost_on_its_way_is_found_in_the_next_known_street() {
+    const LOST_AT: u32 = 50;
+    let mut lost = odometry(90);
+    // It went on as if the way had been another one.
+    let guess = Rigid::new(Vector3::new(20.0, 1.0, -35.0), Vector3::new(0.0, 1.2, 0.0));
+    for odometry_from_camera in &mut lost[LOST_AT as usize..] {
+        *odometry_from_camera = guess * *odometry_from_camera;
+    }
+    let usual = OdometryNoise::STANDARD.information(3.0);
+    let grown = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, 900.0, 900.0, 900.0));
+    let blind = OdometryNoise::STANDARD.blind_information(3.0, &grown, 0.05);
+    let (judged, before_m, after_m) = drive_by(&lost, |k| if k == LOST_AT { blind } else { usual }, |k| k, CAPACITIES);
+    let accepted: Vec<_> = judged.iter().filter(|(_, j)| j.decision == LoopDecision::Accepted).collect();
+    assert_eq!(accepted.first().map(|(k, _)| *k), Some(ROUND + 2), "the third keyframe in a row decides");
+    assert!(before_m > 30.0 && after_m < 1.0, "{before_m} m before, {after_m} m after");
+    // A guess that passes for odometry is never found to be wrong.
+    let (judged, ..) = drive_by(&lost, |_| usual, |k| k, CAPACITIES);
+    assert_eq!(count(&judged, |d| d == LoopDecision::Accepted), 0);
 }
 
 #[test]

@@ -63,7 +63,7 @@ pub struct PlaceRecognizer<'m> {
     settings: RecognizerSettings,
     /// Candidates of the keyframe before.
     earlier: Candidates,
-    /// Keyframes below are of earlier drives: candidates, however few keyframes have passed.
+    /// Keyframes below are of earlier drives, or of before the drive was lost: candidates, however few keyframes have passed.
     first_of_drive: u32,
 }
 
@@ -105,6 +105,12 @@ impl<'m> PlaceRecognizer<'m> {
     pub fn recall(&mut self, ordinal: u32, view: &Signature) -> Remembered {
         self.first_of_drive = ordinal.saturating_add(1);
         self.index.remember(ordinal, view)
+    }
+
+    /// The drive was lost: from this keyframe on, the next to come, it may be in any place of before.
+    pub fn begin_anew(&mut self, ordinal: u32) {
+        self.first_of_drive = ordinal;
+        self.earlier.clear();
     }
 
     /// Places that a view may show of which nothing is known: after tracking was lost, or in a stored map.

@@ -4,7 +4,7 @@
 //! stretches all of it together; a frame adds its own step to its keyframe's error.
 
 use super::frame_pose::FramePose;
-use super::tracker::{MAX_COAST_S, Tracker};
+use super::tracker::{MAX_COAST_S, MAX_TURN_S, Tracker};
 use super::{FrameStatus, PoseModel};
 use crate::conventions::TimestampNs;
 use crate::math::se3::skew;
@@ -102,12 +102,12 @@ impl Drift {
         self
     }
 
-    /// Without sight for a while, of which the prediction covers a part.
-    fn blind(mut self, passed_s: f64, covered_s: f64, speed_m_per_s: f64, turn_rad_per_s: f64) -> Self {
+    /// Without sight for a while, of which the prediction covers a part of the way and a part of the turn.
+    fn blind(mut self, passed_s: f64, covered_s: [f64; 2], speed_m_per_s: f64, turn_rad_per_s: f64) -> Self {
         let passed_s = passed_s.clamp(0.0, MAX_BLIND_S);
-        let missed_s = (passed_s - covered_s).max(0.0);
+        let missed_s = covered_s.map(|covered_s| (passed_s - covered_s).max(0.0));
         let [position, rotation] = coasted_variances(passed_s);
-        let (missed_m, missed_rad) = (speed_m_per_s * missed_s, turn_rad_per_s * missed_s);
+        let (missed_m, missed_rad) = (speed_m_per_s * missed_s[0], turn_rad_per_s * missed_s[1]);
         self.pose += diagonal(rotation + missed_rad * missed_rad, position + missed_m * missed_m);
         self
     }
@@ -173,7 +173,7 @@ impl Tracker<'_> {
         let velocity = &self.motion.velocity;
         let passed_s = self.seconds_since_last(timestamp_ns);
         let is_coasting = pose.status == FrameStatus::Doubtful && pose.model == PoseModel::Predicted;
-        let covered_s = if is_coasting { passed_s.min(MAX_COAST_S) } else { 0.0 };
+        let covered_s = [MAX_COAST_S, MAX_TURN_S].map(|most_s| if is_coasting { passed_s.min(most_s) } else { 0.0 });
         let step_in_world_m = pose.camera_from_world.inverse().translation.vector
             - self.motion.camera_from_world.inverse().translation.vector;
         let moved = self.drift.moved(&step_in_world_m, &self.scale_doubt());
@@ -255,7 +255,7 @@ mod tests {
 
     #[test]
     fn blindness_grows_with_time_and_with_what_was_not_predicted() {
-        let of = |passed_s: f64, covered_s: f64| Drift::none().blind(passed_s, covered_s, 10.0, 0.1).covariance();
+        let of = |passed_s: f64, covered_s: f64| Drift::none().blind(passed_s, [covered_s; 2], 10.0, 0.1).covariance();
         assert!(of(0.2, 0.2)[(3, 3)] > of(0.1, 0.1)[(3, 3)]);
         assert!(of(0.2, 0.0)[(5, 5)] > 4.0 && of(0.2, 0.2)[(5, 5)] < 0.1);
         assert!(of(f64::INFINITY, 1.0).iter().all(|v| v.is_finite()));

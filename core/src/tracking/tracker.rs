@@ -21,12 +21,14 @@ use crate::pose::{LandmarkMatch, Match};
 use crate::scale::ScaleFilter;
 use crate::verify::MotionPrior;
 use core::fmt;
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{Translation3, Vector3, Vector6};
 
 /// Levels of every pyramid, the full image included.
 pub const PYRAMID_LEVELS: usize = 4;
-/// Prediction does not coast for longer than this, s.
-pub(super) const MAX_COAST_S: f64 = 1.0;
+/// A turn is not predicted for longer than this, s: then the street goes straight on.
+pub(super) const MAX_TURN_S: f64 = 1.0;
+/// Prediction does not coast for longer than this, s: then the vehicle stands.
+pub(super) const MAX_COAST_S: f64 = 10.0;
 /// Nanoseconds per second.
 const NS_PER_S: f64 = 1e9;
 /// A track without a landmark.
@@ -265,8 +267,13 @@ impl<'m> Tracker<'m> {
             self.believe(&pose, timestamp_ns);
         } else {
             self.n_doubtful += 1;
-            if self.n_doubtful >= self.settings.max_doubtful_frames || pose.status == FrameStatus::Lost {
+            // What was seen so long ago is not seen again.
+            let is_cold = self.seconds_since_last(timestamp_ns) > MAX_TURN_S;
+            if is_cold || self.n_doubtful >= self.settings.max_doubtful_frames || pose.status == FrameStatus::Lost {
                 self.abandon_window();
+            }
+            if is_cold {
+                pose = self.start_window(frame_index, timestamp_ns, &predicted);
             }
         }
         self.report(frame_index, timestamp_ns, &pose, &track_report)
@@ -277,10 +284,14 @@ impl<'m> Tracker<'m> {
         seconds_between(self.motion.timestamp_ns, timestamp_ns)
     }
 
-    /// Constant velocity.
+    /// Constant velocity; after a while straight on, and after a long one no farther.
     fn predict(&self, timestamp_ns: TimestampNs) -> Rigid {
-        let duration_s = self.seconds_since_last(timestamp_ns).min(MAX_COAST_S);
-        se3::exp(&(self.motion.velocity * duration_s)) * self.motion.camera_from_world
+        let coasting_s = self.seconds_since_last(timestamp_ns).min(MAX_COAST_S);
+        let turning_s = coasting_s.min(MAX_TURN_S);
+        let velocity = &self.motion.velocity;
+        let straight_m = velocity.fixed_rows::<3>(3) * (coasting_s - turning_s);
+        let turned = se3::exp(&(velocity * turning_s)) * self.motion.camera_from_world;
+        Translation3::from(straight_m) * turned
     }
 
     fn wants_keyframe(&self, pose: &FramePose, tracks: &TrackReport) -> bool {

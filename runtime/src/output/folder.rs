@@ -154,7 +154,7 @@ fn remove_earlier_judgements(dir: &Path) -> Result<(), OutputError> {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         name.ends_with("_camera.jpg") || name.ends_with("_render.jpg")
     };
-    let reports = ["report.json", "report.html", "eval.json"].map(|name| dir.join(name));
+    let reports = ["report.json", "report.html", "eval.json", "loops.csv", "views.csv"].map(|name| dir.join(name));
     for path in reports.into_iter().filter(|path| path.is_file()).chain(pictures.filter(is_ours)) {
         std::fs::remove_file(&path).map_err(OutputError::write(&path))?;
     }

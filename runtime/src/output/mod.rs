@@ -15,6 +15,7 @@ mod keyframe_table;
 mod trajectory;
 
 mod folder;
+mod loop_table;
 
 mod publish;
 
@@ -31,6 +32,7 @@ pub use error::OutputError;
 pub use folder::{FrameCounts, OutputFolder};
 pub use histogram::Histogram;
 pub use html::write_html;
+pub use loop_table::LoopTable;
 pub use publish::{HealthPublisher, MessagePublisher, OdometryPublisher};
 pub use renders::{Picture, RenderedKeyframe, write_render};
 pub use report::Report;

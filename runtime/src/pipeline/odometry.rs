@@ -25,12 +25,13 @@ pub fn publish(frames: &Receiver<FrameReport>, plan: &RunPlan, alignment: &Share
     let begins_at = Similarity::from_isometry(plan.map_from_odometry(), 1.0);
     let mut followed = MapAlignment::new(begins_at, plan.settings.loop_closure.alignment);
     let mut stream = OdometryStream::open()?;
-    let mut was_located = alignment.is_located();
+    let mut n_found = alignment.n_found();
     while let Some(report) = frames.pop() {
+        // Read before the alignment, which is written first: what is found is never followed in steps.
+        let n_found_by_now = alignment.n_found();
         let wanted = alignment.lock().newest() * begins_at;
-        if alignment.is_located() != was_located {
-            // Until now it meant nothing.
-            was_located = true;
+        if n_found_by_now != n_found {
+            n_found = n_found_by_now;
             followed = MapAlignment::new(wanted, plan.settings.loop_closure.alignment);
         }
         let map_from_odometry = followed.follow(&wanted, &report.world_from_camera);

@@ -138,10 +138,10 @@ impl TrackingThread<'_> {
         state.n_keyframes += u32::from(report.is_tracked_keyframe());
         // A full queue means that the publisher is late: its readers want the next one.
         let _ = self.odometry.try_push(report);
-        let seen = report.is_tracked_keyframe().then_some(self.loops.as_mut()).flatten();
-        seen.into_iter().for_each(LoopLink::settle);
+        let is_place = LoopLink::wants(&report);
+        self.loops.iter_mut().filter(|_| is_place).for_each(LoopLink::settle);
         self.hand_to_mapper(&image, &gray, &report, state, &mut times);
-        if let Some(loops) = self.loops.as_mut().filter(|_| report.is_tracked_keyframe()) {
+        if let Some(loops) = self.loops.as_mut().filter(|_| is_place) {
             loops.keyframe(&gray, &report, self.tracker.keyframe_points());
         }
         self.tell(Record::Frame { report, times });

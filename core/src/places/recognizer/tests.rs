@@ -61,6 +61,25 @@ fn a_single_view_that_looks_like_elsewhere_is_not() {
 }
 
 #[test]
+fn after_being_lost_the_street_just_driven_is_recognized_too() {
+    let storage = PlaceStorage {
+        slots: &mut vec![PlaceSlot::UNUSED; 100],
+        postings: &mut vec![Posting::UNUSED; 100 * WORDS_PER_PLACE],
+        first_of_word: &mut [0; 1000],
+    };
+    let mut recognizer = PlaceRecognizer::new(PlaceIndex::new(storage).expect("long enough"), SETTINGS);
+    let mut found = Vec::new();
+    for (ordinal, place) in (0..).zip((0..9).chain(4..9)) {
+        if ordinal == 9 {
+            recognizer.begin_anew(ordinal);
+        }
+        let (candidates, _) = recognizer.observe(ordinal, &view_at(place));
+        found.extend(candidates.iter().find(|c| recognizer.is_consistent(c)).map(|c| (ordinal, c.ordinal)));
+    }
+    assert_eq!(found, [(11, 6), (12, 7), (13, 8)]);
+}
+
+#[test]
 fn hits_beside_a_better_one_are_the_same_place() {
     let storage = PlaceStorage {
         slots: &mut vec![PlaceSlot::UNUSED; 100],

@@ -5,13 +5,16 @@ use crate::budget::{Row, Usage};
 use crate::pipeline::plan::RunPlan;
 use crate::pipeline::queue::{Received, Receiver, Sender, queue};
 use kilogs_core::frame::ImageView;
-use kilogs_core::tracking::{FrameReport, KeyframePoint};
+use kilogs_core::tracking::{FrameReport, KeyframePoint, StatusReason};
+use nalgebra::Matrix6;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// A keyframe on its way; the same few travel to and fro for the whole run.
 pub(super) struct Job {
     pub(super) report: Option<FrameReport>,
+    /// By how much the odometry's covariance grew since the keyframe before, where tracking was lost on the way.
+    pub(super) blind: Option<Matrix6<f64>>,
     /// Packed.
     pub(super) gray: Box<[u8]>,
     pub(super) points: Vec<KeyframePoint>,
@@ -31,6 +34,10 @@ pub struct LoopLink {
     usage: Arc<Usage>,
     alignment: SharedAlignment,
     is_located: bool,
+    /// Covariance of the keyframe before.
+    covariance: Matrix6<f64>,
+    /// Tracking began anew since then.
+    was_lost: bool,
 }
 
 impl LoopLink {
@@ -42,6 +49,7 @@ impl LoopLink {
         for _ in 0..n_jobs {
             let job = Job {
                 report: None,
+                blind: None,
                 gray: vec![0; plan.camera.width as usize * plan.camera.height as usize].into(),
                 points: Vec::with_capacity(plan.budget.capacity(Row::TrackingTracks)),
             };
@@ -57,6 +65,8 @@ impl LoopLink {
             usage: Arc::clone(usage),
             alignment: alignment.clone(),
             is_located: alignment.is_located(),
+            covariance: Matrix6::zeros(),
+            was_lost: false,
         };
         (link, (incoming, back))
     }
@@ -74,9 +84,15 @@ impl LoopLink {
         self.is_located
     }
 
+    /// Whether a frame is a keyframe for the closer: a tracked one, or one at which tracking begins anew, wherever that is.
+    pub fn wants(report: &FrameReport) -> bool {
+        report.is_tracked_keyframe() || (report.is_keyframe && report.reason == StatusReason::Restarted)
+    }
+
     /// Hands a keyframe over; live it is left out, and counted, when the closer is busy with others.
     pub fn keyframe(&mut self, gray: &ImageView<'_>, report: &FrameReport, points: &[KeyframePoint]) {
         self.settle();
+        self.was_lost |= report.reason == StatusReason::Restarted;
         let Some(mut job) = self.at_home.take().or_else(|| self.take()) else {
             self.usage.refuse(Row::PipelineLoopQueue, 1);
             return;
@@ -88,6 +104,8 @@ impl LoopLink {
         job.points.clear();
         job.points.extend_from_slice(&points[..n_points]);
         job.report = Some(*report);
+        job.blind = self.was_lost.then(|| report.covariance - self.covariance);
+        (self.covariance, self.was_lost) = (report.covariance, false);
         self.usage.observe(Row::PipelineLoopQueue, self.n_jobs.saturating_sub(self.free.n_waiting()));
         // A closer that is gone has told why.
         let _ = self.jobs.push(job);

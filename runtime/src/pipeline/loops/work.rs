@@ -6,6 +6,7 @@ use super::places_file::{KnownPlace, PlacesFile};
 use super::{memory, vocabulary};
 use crate::budget::{Row, Usage};
 use crate::map_store::{Alignment, MapStoreReader};
+use crate::output::LoopTable;
 use crate::pipeline::matchers::kept;
 use crate::pipeline::plan::RunPlan;
 use crate::pipeline::resume::{Resume, map_from_keyframe};
@@ -44,7 +45,10 @@ pub struct LoopWork {
     /// Where the alignment is written; none without a map.
     map: Option<PathBuf>,
     resume: Option<Resume>,
+    table: LoopTable,
     usage: Arc<Usage>,
+    /// Tracking began anew, and no loop has said where since then.
+    was_lost: bool,
     n_loops: u64,
     n_refused: u64,
 }
@@ -118,7 +122,9 @@ pub fn prepare(
         alignment: alignment.clone(),
         map,
         resume: plan.resume.clone(),
+        table: LoopTable::create(&plan.out)?,
         usage: Arc::clone(usage),
+        was_lost: false,
         n_loops: 0,
         n_refused: 0,
     };
@@ -129,7 +135,7 @@ impl LoopWork {
     /// Looks at keyframes until no more come.
     ///
     /// # Errors
-    /// [`RunError::Store`] when the map could not be moved on disk.
+    /// [`RunError::Store`] when the map could not be moved on disk, [`RunError::Output`] when a decision could not be written.
     pub fn run(mut self) -> Result<LoopSummary, RunError> {
         while let Some(job) = self.jobs.0.pop() {
             if let Some(report) = job.report {
@@ -142,6 +148,7 @@ impl LoopWork {
         if self.n_refused > 0 {
             log::warn!("closing loops: {} keyframes were not looked at, because [loops.*] is full", self.n_refused);
         }
+        self.table.finish()?;
         Ok(LoopSummary { n_loops: self.n_loops })
     }
 
@@ -156,11 +163,15 @@ impl LoopWork {
         let place = Place { keyframe_id: report.keyframe_ordinal, odometry_from_keyframe };
         let before = self.places.last().unwrap_or(&place).odometry_from_keyframe.isometry;
         let step_m = (before.inverse() * odometry_from_camera).translation.vector.norm();
+        if job.blind.is_some() {
+            self.closer.note_lost(report.keyframe_ordinal);
+        }
         let packet = KeyframePacket {
             ordinal: report.keyframe_ordinal,
             odometry_from_camera,
-            information: match self.places.len() {
-                n if n == self.n_known && n > 0 => OdometryNoise::unknown_start(),
+            information: match (self.places.len(), job.blind) {
+                (n, _) if n == self.n_known && n > 0 => OdometryNoise::unknown_start(),
+                (_, Some(grown)) => self.noise.blind_information(step_m, &grown, report.scale_sigma.into()),
                 _ => self.noise.information(step_m),
             },
             features,
@@ -183,16 +194,29 @@ impl LoopWork {
         ] {
             self.usage.observe(row, n);
         }
+        // Rows of a run name frames as frames.csv does.
+        let frame_index = job.report.map_or(report.frame_index, |own| own.frame_index);
+        self.table.keyframe(frame_index, report.keyframe_ordinal, &outcome)?;
         for judged in &outcome.candidates {
             tell(report, judged);
         }
-        if outcome.optimized.is_some() {
+        self.was_lost |= job.blind.is_some();
+        let is_recognized = outcome.optimized.is_some();
+        if is_recognized {
             self.n_loops += 1;
             self.align()?;
         }
         if !self.alignment.is_located() {
-            self.locate(report, outcome.optimized.is_some());
+            self.locate(report, is_recognized);
+        } else if is_recognized && self.was_lost {
+            log::info!(
+                "found again: keyframe {} (frame {}) after tracking was lost",
+                place.keyframe_id,
+                report.frame_index
+            );
+            self.alignment.note_found();
         }
+        self.was_lost &= !is_recognized;
         Ok(())
     }
 
@@ -210,7 +234,10 @@ impl LoopWork {
                  say where it began with --resume-pose"
             );
         }
-        self.alignment.set_located(is_recognized || n_keyframes >= KEYFRAMES_UNTIL_LOCATED);
+        if is_recognized || n_keyframes >= KEYFRAMES_UNTIL_LOCATED {
+            self.alignment.set_located(true);
+            self.alignment.note_found();
+        }
     }
 
     fn refuse(&mut self, row: Row) {

@@ -47,6 +47,13 @@ impl CommonArgs {
 }
 
 impl Bench {
+    /// One that nothing is there for.
+    #[cfg(test)]
+    pub fn of(data: &str, out: &str, kilogs: &str) -> Self {
+        let [data, out, kilogs] = [data, out, kilogs].map(PathBuf::from);
+        Self { data, recordings: Vec::new(), out, kilogs }
+    }
+
     /// Replays a recording into `out` and judges it by its truth, where it has one. What both say goes to `log.txt`.
     pub fn replay_and_judge(&self, dataset: &Path, out: &Path, options: &[String]) -> Result<(), StepFailed> {
         let [dataset_text, out_text] = [dataset, out].map(|path| path.to_string_lossy().into_owned());

@@ -2,8 +2,10 @@
 
 mod bench;
 mod jobs;
+mod loops;
 mod mapping;
 mod overview;
+mod table;
 mod tracking;
 
 use crate::step::StepFailed;
@@ -26,6 +28,8 @@ enum Table {
     Tracking(tracking::TrackingArgs),
     /// What each part of the mapper is worth: every recording with parts of it exchanged, as mapped and refined.
     Mapping(mapping::MappingArgs),
+    /// What closing loops is worth: a simulated town, every recording, and drives with five seconds cut out.
+    Loops(loops::LoopsArgs),
 }
 
 /// What all tables share.
@@ -73,5 +77,6 @@ pub(crate) fn run(root: &Path, args: &SequencesArgs) -> Result<(), StepFailed> {
         Table::Overview(args) => overview::run(root, args),
         Table::Tracking(args) => tracking::run(root, args),
         Table::Mapping(args) => mapping::run(root, args),
+        Table::Loops(args) => loops::run(root, args),
     }
 }
