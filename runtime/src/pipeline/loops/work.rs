@@ -16,7 +16,7 @@ use kilogs_core::features::descriptors::{extract, half_step_bytes};
 use kilogs_core::features::{Corner, ExtractScratch, ExtractSettings, Feature, SimdLevel};
 use kilogs_core::frame::{ImageView, Pyramid, pyramid};
 use kilogs_core::loop_closure::{
-    JudgedCandidate, KeyframePacket, LoopCapacities, LoopCloser, LoopDecision, OdometryNoise,
+    JudgedCandidate, KeyframeOutcome, KeyframePacket, LoopCapacities, LoopCloser, LoopDecision, OdometryNoise,
 };
 use kilogs_core::places::{PlaceView, PointDepth, describe_points};
 use kilogs_core::pose_graph::Place;
@@ -25,7 +25,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// A drive that is not recognized for so many keyframes goes on where the last one ended.
-const KEYFRAMES_UNTIL_LOCATED: usize = 12;
+///
+/// On KITTI 00 the 13th keyframe of a known street was the first to be verified.
+const KEYFRAMES_UNTIL_LOCATED: usize = 24;
 /// A map that was closed before does not bend as odometry does: information of its steps, relative to that of odometry.
 const KNOWN_MAP_WEIGHT: f64 = 100.0;
 
@@ -47,8 +49,8 @@ pub struct LoopWork {
     resume: Option<Resume>,
     table: LoopTable,
     usage: Arc<Usage>,
-    /// Tracking began anew, and no loop has said where since then.
-    was_lost: bool,
+    /// From this keyframe on it is a guess where in the map the drive is, until a loop says it.
+    lost_from: Option<u32>,
     n_loops: u64,
     n_refused: u64,
 }
@@ -124,7 +126,7 @@ pub fn prepare(
         resume: plan.resume.clone(),
         table: LoopTable::create(&plan.out)?,
         usage: Arc::clone(usage),
-        was_lost: false,
+        lost_from: (!alignment.is_located()).then(|| plan.first_keyframe_id()),
         n_loops: 0,
         n_refused: 0,
     };
@@ -165,6 +167,7 @@ impl LoopWork {
         let step_m = (before.inverse() * odometry_from_camera).translation.vector.norm();
         if job.blind.is_some() {
             self.closer.note_lost(report.keyframe_ordinal);
+            self.lost_from.get_or_insert(report.keyframe_ordinal);
         }
         let packet = KeyframePacket {
             ordinal: report.keyframe_ordinal,
@@ -200,43 +203,35 @@ impl LoopWork {
         for judged in &outcome.candidates {
             tell(report, judged);
         }
-        self.was_lost |= job.blind.is_some();
-        let is_recognized = outcome.optimized.is_some();
-        if is_recognized {
+        if outcome.optimized.is_some() {
             self.n_loops += 1;
             self.align()?;
         }
-        if !self.alignment.is_located() {
-            self.locate(report, is_recognized);
-        } else if is_recognized && self.was_lost {
-            log::info!(
-                "found again: keyframe {} (frame {}) after tracking was lost",
-                place.keyframe_id,
-                report.frame_index
-            );
-            self.alignment.note_found();
-        }
-        self.was_lost &= !is_recognized;
+        self.locate(report, &outcome);
         Ok(())
     }
 
-    /// A loop with an earlier drive says where in the map this one is. Who is not recognized for long is somewhere else.
-    fn locate(&self, report: &FrameReport, is_recognized: bool) {
-        let n_keyframes = self.places.len() - self.n_known;
-        if is_recognized {
+    /// A loop with what was before says where in the map the drive is. Who is not recognized for long is somewhere else.
+    fn locate(&mut self, report: &FrameReport, outcome: &KeyframeOutcome) {
+        let Some(lost_from) = self.lost_from else { return };
+        let n_keyframes = self.places.iter().rev().take_while(|place| place.keyframe_id >= lost_from).count();
+        let is_of_before = |judged: &JudgedCandidate| {
+            judged.decision == LoopDecision::Accepted && judged.candidate.ordinal < lost_from
+        };
+        if outcome.candidates.iter().any(is_of_before) {
             log::info!(
-                "recognized: the {n_keyframes}th keyframe of the drive (frame {}) is in the map",
+                "recognized: keyframe {n_keyframes} of a lost drive (frame {}) is in the map",
                 report.frame_index
             );
-        } else if n_keyframes >= KEYFRAMES_UNTIL_LOCATED {
+            self.lost_from = None;
+            self.alignment.set_located(true);
+            self.alignment.note_found();
+        } else if !self.alignment.is_located() && n_keyframes >= KEYFRAMES_UNTIL_LOCATED {
             log::warn!(
                 "{n_keyframes} keyframes of the drive are of no street in the map: it goes on where the last one ended; \
                  say where it began with --resume-pose"
             );
-        }
-        if is_recognized || n_keyframes >= KEYFRAMES_UNTIL_LOCATED {
             self.alignment.set_located(true);
-            self.alignment.note_found();
         }
     }
 

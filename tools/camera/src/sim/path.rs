@@ -76,19 +76,21 @@ impl Drive {
         Self { waypoints, frame_arc_m, frame_turn_rad, bare_stretch: kind.bare_stretch(length_m) }
     }
 
-    /// A drive along KITTI poses (one per frame), laid flat on the ground plane: height, pitch and roll are dropped.
+    /// A drive along KITTI poses (one per frame), laid flat on the ground plane: height, pitch and roll are dropped. The camera
+    /// looks as the poses do, which is not along the way: it stands ahead of the axle that a vehicle turns about.
     ///
     /// # Errors
     /// [`SimError::Path`] when the file cannot be read, a line has not 12 finite numbers, or it has fewer than two.
     pub fn from_poses(file: &Path) -> Result<Self, SimError> {
         let problem = |reason: String| SimError::Path { path: file.to_owned(), reason };
         let text = std::fs::read_to_string(file).map_err(|e| problem(e.to_string()))?;
-        let mut positions = Vec::new();
+        let (mut positions, mut headings_rad) = (Vec::new(), Vec::new());
         for (index, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
             let numbers: Vec<f64> = line.split_whitespace().filter_map(|w| w.parse().ok()).collect();
             match numbers.as_slice() {
-                [_, _, _, x, _, _, _, _, _, _, _, z] if numbers.iter().all(|v| v.is_finite()) => {
-                    positions.push((*x, *z))
+                [_, _, look_x, x, _, _, _, _, _, _, look_z, z] if numbers.iter().all(|v| v.is_finite()) => {
+                    positions.push((*x, *z));
+                    headings_rad.push(look_x.atan2(*look_z));
                 }
                 _ => return Err(problem(format!("line {} has not 12 finite numbers", index + 1))),
             }
@@ -103,7 +105,10 @@ impl Drive {
             }))
             .collect();
         let waypoints = resample(&positions, &frame_arc_m);
-        Ok(Self { waypoints, frame_arc_m, frame_turn_rad: Vec::new(), bare_stretch: None })
+        let mut drive = Self { waypoints, frame_arc_m, frame_turn_rad: Vec::new(), bare_stretch: None };
+        let turn_rad = |(frame, heading_rad): (usize, f64)| wrap(heading_rad - drive.at_frame(frame).heading_rad);
+        drive.frame_turn_rad = headings_rad.into_iter().enumerate().map(turn_rad).collect();
+        Ok(drive)
     }
 
     /// Number of frames.
@@ -275,6 +280,15 @@ mod tests {
         assert_eq!(drive.n_frames(), 20);
         let here = drive.at(drive.arc_m(7));
         assert!((here.z - 14.0).abs() < 1e-9 && here.x.abs() < 1e-9 && here.heading_rad.abs() < 1e-9, "{here:?}");
+        assert!((0..20).all(|frame| drive.at_frame(frame).heading_rad.abs() < 1e-9));
+        // The way is the same; the camera looks to the right.
+        let (sin, cos) = 0.3_f64.sin_cos();
+        let turned: Vec<String> =
+            (0..20).map(|i| format!("{cos} 0 {sin} 0 0 1 0 9 {} 0 {cos} {}", -sin, 2.0 * f64::from(i))).collect();
+        std::fs::write(&file, turned.join("\n")).expect("writing poses");
+        let drive = Drive::from_poses(&file).expect("valid poses");
+        assert!((0..20).all(|frame| (drive.at_frame(frame).heading_rad - 0.3).abs() < 1e-9));
+        assert!(drive.waypoints().iter().all(|at| at.heading_rad.abs() < 1e-9));
         std::fs::write(&file, "1 0 0 0 0 1 0 0 0 0 1 NaN\n").expect("writing poses");
         assert!(matches!(Drive::from_poses(&file), Err(SimError::Path { .. })));
     }
