@@ -284,7 +284,7 @@ fn packet<'p>(
 }
 
 /// Puts views into an order drawn by `rng`.
-pub(crate) fn shuffle(order: &mut [usize], rng: &mut Rng) {
+pub(crate) fn shuffle<T>(order: &mut [T], rng: &mut Rng) {
     for last in (1..order.len()).rev() {
         order.swap(last, rng.below(last + 1));
     }

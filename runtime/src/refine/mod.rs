@@ -3,6 +3,7 @@
 //! ```text
 //! stretches of the route, twice   schedule.rs    the second time their ends are where their middles were
 //!   pages that they see           stretch.rs     loaded whole near by, coarse levels only far away
+//!   who else sees these           guests.rs      trained too, or the map would forget them
 //!   training                      trainer.rs     every picture of the stretch as often as the others
 //!   lifecycle, once               renew.rs       what is faint, wrong or too much ends; what shows errors is split
 //!   pages, chunks                 stretch.rs     replaced file by file: whatever happens, the map opens
@@ -10,6 +11,7 @@
 //!
 //! Held-out views judge and are in no loss.
 
+mod guests;
 mod images;
 mod lifecycle;
 mod renew;

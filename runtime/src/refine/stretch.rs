@@ -1,5 +1,6 @@
 //! What of the map is in memory while a stretch of the route is trained: how it comes, and how it is stored again.
 
+use super::guests::guests;
 use crate::map_store::{MapStoreEditor, MapStoreReader, StoreError};
 use crate::mapping::{NO_GAUSSIAN, NO_HEADER};
 use crate::render_views::{CountedPage, Residency, Room, Standpoint, Wanted, map_from_camera, pick_pages};
@@ -218,10 +219,13 @@ impl<'a> StretchMemory<'a> {
         })
     }
 
-    /// Brings what the views of these keyframes see into the backend.
-    pub(super) fn load(&mut self, keyframes: Range<usize>) {
+    /// Brings what the views of these keyframes see into the backend. Returns what is to be trained then: they and, behind
+    /// them, who looks at the same.
+    pub(super) fn load(&mut self, keyframes: Range<usize>) -> Vec<usize> {
         self.pick(keyframes.clone());
-        for keyframe in &self.map.keyframes()[keyframes] {
+        let mut views: Vec<usize> = keyframes.clone().collect();
+        views.extend(guests(self.map.keyframes(), &keyframes, WHOLE_WITHIN_M));
+        for keyframe in views.iter().map(|&view| &self.map.keyframes()[view]) {
             if !self.chunk_rows.contains_key(&keyframe.chunk_id)
                 && let Some(row) = self.residency.hold_chunk(self.map, keyframe.chunk_id, self.backend)
             {
@@ -240,6 +244,9 @@ impl<'a> StretchMemory<'a> {
             }
         }
         self.losses.unstored_pages.extend(self.residency.incomplete_pages().map(|label| label.page_id));
+        let has_row = |view: &usize| self.chunk_rows.contains_key(&self.map.keyframes()[*view].chunk_id);
+        views.retain(|view| keyframes.contains(view) || has_row(view));
+        views
     }
 
     /// Stores every page that is in the backend as a whole, and the chunks of the stretch's views; then empties the

@@ -64,8 +64,8 @@ impl Trainer<'_> {
             if self.spent() >= part.effort.end {
                 continue;
             }
-            self.memory.load(part.keyframes.clone());
-            let goes_on = self.train_part(part, nth);
+            let views = self.memory.load(part.keyframes.clone());
+            let goes_on = self.train_part(part, &views, nth);
             self.memory.store_and_clear()?;
             self.counts.parts += 1;
             if !goes_on {
@@ -79,11 +79,13 @@ impl Trainer<'_> {
         self.clock.progress(self.counts.steps + self.counts.refused)
     }
 
-    /// Trains until the part's share of the effort is spent; false when all training is to end.
-    fn train_part(&mut self, part: &Part, nth: u64) -> bool {
-        let mut order: Vec<usize> = part.keyframes.clone().filter(|&view| self.is_seen(view)).collect();
+    /// Trains on `views`, the part's own first, until its share of the effort is spent; false when all training is to end.
+    fn train_part(&mut self, part: &Part, views: &[usize], nth: u64) -> bool {
+        let n_slots = self.begin_exposures(views.len());
+        let mut order: Vec<TrainedView> =
+            views.iter().zip(0..n_slots).map(|(&idx, slot)| TrainedView { idx, slot }).collect();
+        order.retain(|view| self.is_seen(view.idx));
         let mut rng = Rng::new(self.seed, nth, VIEW_CHOICE);
-        self.begin_exposures(part);
         let mut psnr = MeanPsnr::default();
         let mut is_renewed = false;
         while !order.is_empty() && self.spent() < part.effort.end {
@@ -103,7 +105,7 @@ impl Trainer<'_> {
                     return false;
                 }
             }
-            order.retain(|view| !self.blind.contains(view));
+            order.retain(|view| !self.blind.contains(&view.idx));
         }
         log::info!(
             "{:.0} %: keyframes {} to {} at {:.2} dB while they were trained",
@@ -121,12 +123,13 @@ impl Trainer<'_> {
         has_picture && !self.blind.contains(&view_idx)
     }
 
-    /// Every picture of the part counts as exposed like the map until steps say otherwise.
-    fn begin_exposures(&mut self, part: &Part) {
-        let n_slots = self.memory.backend().capacities().exposure_slots;
-        for slot in 0..part.keyframes.len().min(n_slots) {
-            self.memory.backend().write_exposure(slot as u32, Exposure::IDENTITY);
+    /// Each of so many pictures counts as exposed like the map until steps say otherwise; how many can be trained.
+    fn begin_exposures(&mut self, n_views: usize) -> u32 {
+        let n_slots = n_views.min(self.memory.backend().capacities().exposure_slots) as u32;
+        for slot in 0..n_slots {
+            self.memory.backend().write_exposure(slot, Exposure::IDENTITY);
         }
+        if self.learned_exposure { n_slots } else { n_views as u32 }
     }
 
     /// Scores a part's anchors over a uniform subset of its views, ends some and splits others.
@@ -139,9 +142,10 @@ impl Trainer<'_> {
         let mut renewal = Renewal::new(&mut self.memory);
         let n_views = self.lifecycle.views.min(own.len());
         for nth in 0..n_views {
-            let view_idx = part.keyframes.start + (2 * nth + 1) * own.len() / (2 * n_views);
+            let slot = (2 * nth + 1) * own.len() / (2 * n_views);
+            let view = TrainedView { idx: part.keyframes.start + slot, slot: slot as u32 };
             let lifecycle = self.lifecycle;
-            self.look_at(view_idx, part, self.coarse_resolution, |memory, view, _| {
+            self.look_at(view, self.coarse_resolution, |memory, view, _| {
                 let report = renewal.score(memory, view, &lifecycle);
                 (report.stats.refused, report.loss.mse)
             });
@@ -151,12 +155,12 @@ impl Trainer<'_> {
     }
 
     /// Takes one step; PSNR before it, `None` when it was not taken.
-    fn train_on(&mut self, view_idx: usize, part: &Part, spent: f64) -> Option<f32> {
+    fn train_on(&mut self, view: TrainedView, part: &Part, spent: f64) -> Option<f32> {
         let progress = part.progress_at(spent);
         let resolution = schedule::resolution(progress, self.coarse_resolution);
         let step = schedule::step(&self.step, progress);
         let started = Instant::now();
-        let (is_refused, mse) = self.look_at(view_idx, part, resolution, |memory, view, chunk_row| {
+        let (is_refused, mse) = self.look_at(view, resolution, |memory, view, chunk_row| {
             let report = memory.backend().train_step(view, &StepSettings { decoder_row: Some(chunk_row), ..step });
             (report.stats.refused, report.loss.mse)
         })?;
@@ -172,8 +176,7 @@ impl Trainer<'_> {
     /// Hands a view with its picture and the row of its chunk to `look`; `None` when they cannot be had.
     fn look_at<T>(
         &mut self,
-        view_idx: usize,
-        part: &Part,
+        TrainedView { idx: view_idx, slot }: TrainedView,
         resolution: f64,
         look: impl FnOnce(&mut StretchMemory<'_>, &TrainingView<'_>, u16) -> T,
     ) -> Option<T> {
@@ -187,10 +190,19 @@ impl Trainer<'_> {
         };
         let target = if channels == 1 { TargetImage::Gray8(pixels) } else { TargetImage::Rgb8(pixels) };
         let view = View { camera_from_map: map_from_camera(keyframe).inverse(), camera, chunk_row };
-        let exposure_slot = self.learned_exposure.then_some((view_idx - part.keyframes.start) as u32);
+        let exposure_slot = self.learned_exposure.then_some(slot);
         let training = TrainingView { view, target, depth: None, exposure_slot };
         Some(look(&mut self.memory, &training, chunk_row))
     }
+}
+
+/// A view of a part.
+#[derive(Debug, Clone, Copy)]
+struct TrainedView {
+    /// Its keyframe, by its place in the map's list.
+    idx: usize,
+    /// Slot of its exposure.
+    slot: u32,
 }
 
 /// Mean of what was measured.
