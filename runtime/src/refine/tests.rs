@@ -1,6 +1,7 @@
 //! Small maps of a painted wall, refined on the CPU.
 
 use super::run::train;
+use super::stretch::StretchMemory;
 use crate::budget::Budget;
 use crate::cli::CommonArgs;
 use crate::fit::Effort;
@@ -176,6 +177,19 @@ fn files(map: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         }
     }
     files
+}
+
+#[test]
+fn views_of_other_stretches_that_see_the_same_are_trained_too() {
+    let scratch = scratch_map();
+    let map = open(&scratch.map);
+    let plan = plan(&map, &[]);
+    let editor = MapStoreEditor::open(&map, plan.budget.store_capacity().page_bytes).expect("a folder for writing");
+    let mut backend = pipeline::backend(&plan).expect("a backend");
+    let mut memory = StretchMemory::new(&map, backend.as_mut(), editor);
+    assert_eq!(memory.load(4..6), [4, 5, 0, 1, 2, 3, 6, 7, 8, 9, 10, 11]);
+    let rows = [0, 1, 2].map(|chunk_id| memory.chunk_row(chunk_id).is_some());
+    assert_eq!(rows, [true, true, false], "a guest is seen before the sky of its own chunk");
 }
 
 #[test]
