@@ -84,12 +84,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     kept(write_html(&plan.out, &report, told.tally.chart(), &pictures), &mut failures);
     summarize(plan, &report);
     if let Some(growth) = watch.growth() {
-        let kib = |bytes: f64| bytes / f64::from(1 << 10);
-        log::info!(
-            "memory after the first 300 m: {:+.0} KiB per km, standard error {:.0} KiB",
-            kib(growth.bytes_per_km),
-            kib(growth.sigma)
-        );
+        log::info!("memory after the first 300 m: {growth}");
     }
     warn_of_losses(mapping.as_ref(), &told.tally, &quality);
     failures.extend(told.camera_failure);

@@ -1,5 +1,7 @@
 //! Does memory grow with the distance driven? A straight line through the samples, in constant space.
 
+use std::fmt;
+
 /// Distance at the start that does not count: pools fill and caches warm.
 const WARM_UP_M: f64 = 300.0;
 
@@ -15,6 +17,18 @@ pub struct Growth {
     pub bytes_per_km: f64,
     /// Standard error of that; infinite for fewer than three samples.
     pub sigma: f64,
+}
+
+impl fmt::Display for Growth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [kib_per_km, sigma_kib] = [self.bytes_per_km, self.sigma].map(|bytes| bytes / f64::from(1 << 10));
+        write!(f, "{kib_per_km:+.0} KiB per km, ")?;
+        if sigma_kib.is_finite() {
+            write!(f, "standard error {sigma_kib:.0} KiB")
+        } else {
+            write!(f, "in too few steps for a standard error")
+        }
+    }
 }
 
 /// Least squares of resident bytes over distance, without keeping the samples.
@@ -117,6 +131,13 @@ mod tests {
         check(600, |m| 4e8 + 100.0 * m, Some(1e5));
         check(590, |m| 4e8 + 100.0 * m, None);
         check(0, |_| 4e8, None);
+    }
+
+    #[test]
+    fn growth_is_told_with_its_error_or_without() {
+        let told = |sigma| Growth { bytes_per_km: -2048.0, sigma }.to_string();
+        assert_eq!(told(1024.0), "-2 KiB per km, standard error 1 KiB");
+        assert_eq!(told(f64::INFINITY), "-2 KiB per km, in too few steps for a standard error");
     }
 
     #[test]
