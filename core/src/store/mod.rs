@@ -26,6 +26,6 @@ pub use keyframe::{KEYFRAME_RECORD_BYTES, StoredKeyframe, decode_keyframe, encod
 pub use manifest::{MANIFEST_BYTES, MAX_LEVELS, Manifest, MapCounts, decode_manifest, encode_manifest};
 pub use page::{
     PAGE_HEADER_BYTES, PageEncoder, PageFull, PageLabel, PageReader, StoredAnchor, decode_page, decode_page_label,
-    page_file_bytes, page_length,
+    page_anchors, page_file_bytes, page_length,
 };
 pub use record::{RecordProblem, STORE_VERSION};

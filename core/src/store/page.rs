@@ -87,6 +87,12 @@ pub const fn page_file_bytes(n_anchors: usize, n_gaussians: usize, has_features:
     BODY_START + n_anchors * (size_of::<StoredAnchor>() + feature_bytes) + n_gaussians * size_of::<GaussianParams>()
 }
 
+/// Most anchors of a page in so many bytes: as many as fit when each has all its Gaussians and a feature.
+pub const fn page_anchors(page_bytes: usize, gaussians_per_anchor: usize) -> usize {
+    let anchor_bytes = page_file_bytes(1, gaussians_per_anchor, true) - BODY_START;
+    page_bytes.saturating_sub(BODY_START) / anchor_bytes
+}
+
 /// The anchor does not fit into the page any more; the page is unchanged.
 ///
 /// Finish this page and put the anchor into another one; several pages may cover the same keyframes.
@@ -104,7 +110,8 @@ impl fmt::Display for PageFull {
 
 impl core::error::Error for PageFull {}
 
-/// Fills a page anchor by anchor in memory of the caller, which bounds it.
+/// Fills a page anchor by anchor in memory of the caller, which bounds it: at [`page_anchors`], so that a page can be
+/// written again in the same memory whatever its anchors were given meanwhile.
 #[derive(Debug)]
 pub struct PageEncoder<B> {
     memory: B,
@@ -128,7 +135,7 @@ impl<B: AsMut<[u8]> + AsRef<[u8]>> PageEncoder<B> {
     /// Appends an anchor without a feature and those of `gaussians` that it uses (the first `anchor.n_gaussians`).
     ///
     /// # Errors
-    /// [`PageFull`] when it does not fit, or when it has more Gaussians than the label or the slice allows.
+    /// [`PageFull`] when the page has its anchors, or when this one has more Gaussians than the label or the slice allows.
     pub fn push(&mut self, anchor: &StoredAnchor, gaussians: &[GaussianParams]) -> Result<(), PageFull> {
         self.push_with_feature(anchor, &NO_FEATURE, gaussians)
     }
@@ -144,7 +151,9 @@ impl<B: AsMut<[u8]> + AsRef<[u8]>> PageEncoder<B> {
         gaussians: &[GaussianParams],
     ) -> Result<(), PageFull> {
         let full = PageFull { capacity_bytes: saturate(self.memory.as_ref().len()) };
-        if u32::from(anchor.n_gaussians) > self.label.gaussians_per_anchor {
+        let per_anchor = self.label.gaussians_per_anchor;
+        let is_full = self.label.n_anchors as usize >= page_anchors(self.memory.as_ref().len(), per_anchor as usize);
+        if is_full || u32::from(anchor.n_gaussians) > per_anchor {
             return Err(full);
         }
         let gaussians = gaussians.get(..usize::from(anchor.n_gaussians)).ok_or(full)?;

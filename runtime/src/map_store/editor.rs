@@ -3,7 +3,7 @@
 use super::{MapStoreReader, StoreError, StoreSummary, layout, scan};
 use kilogs_core::store::{
     ChunkBackground, ChunkLabel, DecoderParams, Manifest, MapCounts, PageEncoder, PageFull, PageLabel, encode_chunk,
-    encode_manifest,
+    encode_manifest, page_anchors,
 };
 use std::path::PathBuf;
 
@@ -30,6 +30,21 @@ impl MapStoreEditor {
         Ok(Self { folder, manifest, memory: vec![0; page_bytes].into() })
     }
 
+    /// Like [`open`](Self::open), to replace pages with all that their anchors can come to have.
+    ///
+    /// # Errors
+    /// [`StoreError::OverBudget`] when a page has more anchors than the memory is for; like [`open`](Self::open) else.
+    pub fn open_for_pages(map: &MapStoreReader, page_bytes: usize) -> Result<Self, StoreError> {
+        let capacity = page_anchors(page_bytes, map.manifest().gaussians_per_anchor as usize);
+        match map.pages().iter().max_by_key(|page| page.n_anchors) {
+            Some(page) if page.n_anchors as usize > capacity => {
+                let path = layout::page_path(map.folder(), page.page_id);
+                Err(over_budget(path, ("anchors", page.n_anchors as usize), capacity))
+            }
+            _ => Self::open(map, page_bytes),
+        }
+    }
+
     /// Replaces or adds the page of `label`'s id by what `fill` pushes; its label as written.
     ///
     /// # Errors
@@ -48,7 +63,10 @@ impl MapStoreEditor {
         });
         match encoded {
             Ok((written, bytes)) => layout::replace_file(&path, bytes).map(|()| written),
-            Err(full) => Err(over_budget(path, full.capacity_bytes as usize)),
+            Err(full) => {
+                let capacity = full.capacity_bytes as usize;
+                Err(over_budget(path, ("bytes or more", capacity + 1), capacity))
+            }
         }
     }
 
@@ -65,7 +83,7 @@ impl MapStoreEditor {
         let path = layout::chunk_path(&self.folder, label.chunk_id);
         match encode_chunk(label, decoder, background, &mut self.memory) {
             Some(n_bytes) => layout::replace_file(&path, self.memory.get(..n_bytes).unwrap_or_default()),
-            None => Err(over_budget(path, self.memory.len())),
+            None => Err(over_budget(path, ("bytes or more", self.memory.len() + 1), self.memory.len())),
         }
     }
 
@@ -112,9 +130,9 @@ impl MapStoreEditor {
     }
 }
 
-fn over_budget(path: PathBuf, capacity: usize) -> StoreError {
+fn over_budget(path: PathBuf, (what, found): (&'static str, usize), capacity: usize) -> StoreError {
     let row = "[store.page_anchors] in memory_budget.toml";
-    StoreError::OverBudget { path, what: "bytes or more", found: capacity + 1, capacity, row }
+    StoreError::OverBudget { path, what, found, capacity, row }
 }
 
 #[cfg(test)]

@@ -52,7 +52,7 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// The map holds more than the budget has room for.
-    #[error("reading the map: {path} holds {found} {what}, the budget allows {capacity}; raise {row}")]
+    #[error("a map that is too large: {path} holds {found} {what}, the budget allows {capacity}; raise {row}")]
     OverBudget {
         /// Folder of the map.
         path: PathBuf,

@@ -46,7 +46,7 @@ pub fn run(request: &RefineRequest<'_>) -> Result<RefineSummary, RunError> {
     ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed))
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
     // What cannot be written is known before the work.
-    let editor = MapStoreEditor::open(map, plan.budget.store_capacity().page_bytes)?;
+    let editor = MapStoreEditor::open_for_pages(map, plan.budget.store_capacity().page_bytes)?;
     let table = views_csv.map(ViewTable::create).transpose()?;
     let before = score(map, plan, None)?;
     let training = train(map, plan, effort, editor, &mut || !is_interrupted.load(Ordering::Relaxed))?;

@@ -17,6 +17,7 @@ use kilogs_core::camera::Pinhole;
 use kilogs_core::frame::PixelFormat;
 use kilogs_core::store::{
     ChunkBackground, ChunkLabel, DecoderParams, MAX_LEVELS, Manifest, PageLabel, StoredAnchor, StoredKeyframe,
+    page_file_bytes,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -153,7 +154,7 @@ fn open(map: &Path) -> MapStoreReader {
 fn refine_for(map: &Path, steps: u64, options: &[&str]) -> Result<u64, RunError> {
     let map = open(map);
     let plan = plan(&map, options);
-    let editor = MapStoreEditor::open(&map, plan.budget.store_capacity().page_bytes)?;
+    let editor = MapStoreEditor::open_for_pages(&map, plan.budget.store_capacity().page_bytes)?;
     train(&map, &plan, Effort::Iterations(steps), editor, &mut || true).map(|counts| counts.steps)
 }
 
@@ -278,6 +279,21 @@ fn a_route_keeps_as_many_gaussians_as_its_length_allows() {
 fn what_is_wrong_is_split_only_when_that_is_asked_for() {
     assert_eq!(gaussians_after("lifecycle.densify=false"), 108);
     assert!(gaussians_after("lifecycle.densify=true") > 108);
+}
+
+#[test]
+fn a_page_with_more_anchors_than_the_budget_rewrites_is_refused_before_the_work() {
+    let scratch = scratch_map();
+    let before = files(&scratch.map);
+    let map = open(&scratch.map);
+    // 27 anchors of at most two Gaussians and a feature each.
+    let page_bytes = page_file_bytes(26, 52, true);
+    let refused = MapStoreEditor::open_for_pages(&map, page_bytes).expect_err("refused").to_string();
+    for part in ["pages/", "holds 27 anchors, the budget allows 26", "[store.page_anchors]"] {
+        assert!(refused.contains(part), "{part} in {refused}");
+    }
+    assert!(files(&scratch.map) == before, "nothing was written");
+    assert!(MapStoreEditor::open_for_pages(&map, page_file_bytes(27, 54, true)).is_ok());
 }
 
 /// Tells the child process below which map to refine; unset in an ordinary test run.

@@ -2,6 +2,7 @@
 
 use super::super::record::{STORE_VERSION, as_next_version, as_version, check_every_damage_is_noticed};
 use super::*;
+use crate::map::decoder::FEATURE_LEN;
 use std::vec::Vec;
 
 fn gaussian(seed: f32) -> GaussianParams {
@@ -70,7 +71,7 @@ fn what_was_pushed_comes_back_in_order() {
 fn features_come_back_where_there_are_any() {
     let mut feature = NO_FEATURE;
     (feature[0], feature[31]) = (-1.27, 0.5);
-    let mut memory = std::vec![0xa5; page_file_bytes(3, 3, true)];
+    let mut memory = std::vec![0xa5; page_file_bytes(3, 6, true)];
     let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
     let gaussians = [gaussian(0.25), gaussian(0.5)];
     for (id, feature) in [(40, &feature), (41, &NO_FEATURE), (42, &feature)] {
@@ -123,15 +124,30 @@ fn content_that_contradicts_its_label_is_refused() {
 
 #[test]
 fn a_full_page_refuses_and_stays_valid() {
-    let mut memory = std::vec![0; page_file_bytes(1, 1, false) + 10];
+    let capacity_bytes = page_file_bytes(1, 2, true) + 10;
+    let mut memory = std::vec![0; capacity_bytes];
     let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
     assert_eq!(encoder.push(&anchor(40, 1), &[gaussian(1.0)]), Ok(()));
-    let full = Err(PageFull { capacity_bytes: page_file_bytes(1, 1, false) as u32 + 10 });
+    let full = Err(PageFull { capacity_bytes: capacity_bytes as u32 });
     assert_eq!(encoder.push(&anchor(41, 0), &[]), full);
     assert_eq!(encoder.label().n_anchors, 1);
     let (memory, length) = encoder.finish().expect("sealed");
     assert_eq!(decode_page(&memory[..length]).map(|page| page.0.n_anchors), Ok(1));
     assert!(PageEncoder::new([0u8; BODY_START - 1], LABEL).is_err());
+}
+
+#[test]
+fn a_full_page_can_be_written_again_when_its_anchors_have_all_they_can() {
+    let mut memory = std::vec![0; page_file_bytes(3, 6, true) + 10];
+    let gaussians = [gaussian(0.25), gaussian(0.5)];
+    let mut encoder = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
+    let n_anchors = (40..=49).take_while(|&id| encoder.push(&anchor(id, 1), &gaussians).is_ok()).count();
+    assert_eq!(n_anchors, 3, "each may come to have two Gaussians and a feature");
+    let mut again = PageEncoder::new(memory.as_mut_slice(), LABEL).expect("room for a label");
+    for id in (40..=49).take(n_anchors) {
+        assert_eq!(again.push_with_feature(&anchor(id, 2), &[0.5; FEATURE_LEN], &gaussians), Ok(()), "{id}");
+    }
+    assert_eq!(again.finish().map(|(_, n_bytes)| n_bytes), Ok(page_file_bytes(3, 6, true)));
 }
 
 #[test]
