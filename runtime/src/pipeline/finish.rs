@@ -3,6 +3,7 @@
 use super::loops::LoopSummary;
 use super::mapping_thread::MappingSummary;
 use super::memory;
+use super::nothing_tracked::nothing_tracked;
 use super::plan::RunPlan;
 use super::supervisor::Told;
 use super::tally::Tally;
@@ -35,7 +36,8 @@ pub struct Concluded {
 /// Writes what is written once, all of it that can be: what is not known for a failure is null in the report.
 ///
 /// # Errors
-/// [`RunError`] of what ended the drive, else of what could not be written or judged, else of the camera process.
+/// [`RunError`] of what ended the drive, else of what could not be written or judged, else of the camera process, else of a
+/// drive without one tracked frame.
 pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), RunError> {
     let Concluded { told, mapping, loops, started } = drive;
     let mut failures: Vec<RunError> = told.failure.into_iter().collect();
@@ -54,7 +56,7 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     let training_s = mapping.map_or(0.0, |m| m.training.as_secs_f64());
     let report = Report {
         command: plan.command.clone(),
-        frames: crate::output::report::Frames { refused: told.tally.input().n_refused, ..counts.into() },
+        frames: crate::output::report::Frames { refused: told.tally.n_refused(), ..counts.into() },
         time: Time {
             wall_s: Some(started.elapsed().as_secs_f64()),
             per_frame_ms,
@@ -88,6 +90,9 @@ pub fn conclude(plan: &RunPlan, usage: &Usage, drive: Concluded) -> Result<(), R
     }
     warn_of_losses(mapping.as_ref(), &told.tally, &quality);
     failures.extend(told.camera_failure);
+    if failures.is_empty() {
+        failures.extend(nothing_tracked(&counts, told.tally.n_refused(), told.tally.last_refusal()));
+    }
     let mut failures = failures.into_iter();
     let first = failures.next();
     // What ends the run is printed by main.

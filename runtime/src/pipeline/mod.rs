@@ -18,6 +18,7 @@ mod mapper_link;
 mod mapping_thread;
 mod matchers;
 mod memory;
+mod nothing_tracked;
 mod odometry;
 mod plan;
 mod priority;

@@ -222,7 +222,6 @@ struct Supervisor<'run> {
     progress: &'run MappingProgress,
     started: Instant,
     next_index: u64,
-    n_refused: u64,
     camera_state: CameraState,
     n_restarts: u32,
     is_silence_told: bool,
@@ -252,7 +251,6 @@ impl<'run> Supervisor<'run> {
             progress,
             started,
             next_index: 0,
-            n_refused: 0,
             camera_state: CameraState::NeverCame,
             n_restarts: 0,
             is_silence_told: false,
@@ -305,7 +303,7 @@ impl<'run> Supervisor<'run> {
                 self.camera_state = CameraState::Sending;
             }
             Record::Refused(verdict) => {
-                self.n_refused += 1;
+                self.tally.refused(*verdict);
                 log::warn!("a camera message was refused: {verdict}");
             }
             Record::CameraCame { is_first } => self.camera_came(*is_first),
@@ -344,7 +342,7 @@ impl<'run> Supervisor<'run> {
             frames_doubtful: counts.doubtful,
             frames_lost: counts.lost,
             frames_dropped: counts.dropped,
-            frames_refused: self.n_refused,
+            frames_refused: self.tally.n_refused(),
             frames_missing: counts.dropped,
             sealed_allocations: seal::report().sealed_allocations,
             refusals: self.usage.refused_in_all(),

@@ -1,6 +1,6 @@
 //! Figures of a run, kept in constant memory while it goes on.
 
-use crate::input::InputCounts;
+use crate::input::{HeaderVerdict, InputCounts};
 use crate::output::report::{Percentiles, Tracking};
 use crate::output::{DriveChart, Histogram, Stage, StageTimes};
 use kilogs_core::scale::{ScaleSource as Source, ScaleSources};
@@ -20,6 +20,8 @@ pub struct Tally {
     odometry_length_m: f64,
     last_position_m: Option<Vector3<f64>>,
     input: InputCounts,
+    n_refused: u64,
+    last_refusal: Option<HeaderVerdict>,
     n_keyframes_dropped: u64,
     scale_source: ScaleSource,
     merged: ScaleSources,
@@ -78,6 +80,22 @@ impl Tally {
             }
             self.last_position_m = Some(position_m);
         }
+    }
+
+    /// Notes a message of the camera that cannot be used.
+    pub fn refused(&mut self, verdict: HeaderVerdict) {
+        self.n_refused += 1;
+        self.last_refusal = Some(verdict);
+    }
+
+    /// Messages that were told to be of no use; the input's count at the end has those that nobody was told of, too.
+    pub fn n_refused(&self) -> u64 {
+        self.n_refused.max(self.input.n_refused)
+    }
+
+    /// Why the last message that was of no use is so.
+    pub fn last_refusal(&self) -> Option<HeaderVerdict> {
+        self.last_refusal
     }
 
     /// Notes what the input counted in all.

@@ -79,6 +79,7 @@ fn a_silent_camera_is_told_and_more_slots_than_planned_are_refused() {
     let mut run = start_run(&drive, &service, out.path());
     let camera = start_camera(&drive, &service);
     run.wait_for("the camera is there", 1);
+    std::thread::sleep(SOME_FRAMES);
     camera.stop();
     run.wait_for("lives but has sent nothing for", 1);
     std::thread::sleep(SOME_FRAMES);
@@ -113,11 +114,32 @@ fn a_run_without_any_camera_waits_and_can_be_ended() {
     run.wait_for("waiting for a camera at", 1);
     run.interrupt();
     let ended = run.wait();
-    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+    let is_told = ended.stderr.contains("error: tracking the drive: not one frame was tracked; 0 were received");
+    assert!(ended.code == Some(1) && is_told, "{ended:?}");
     let report = json(&out.path().join("report.json"));
     assert_eq!(count(&report, "/frames/received"), 0, "{report}");
     assert_eq!(report.pointer("/mapping/psnr_train_db"), Some(&serde_json::Value::Null), "{report}");
     assert!(out.path().join("report.html").exists(), "{}", ended.stderr);
+}
+
+#[test]
+fn a_run_that_refuses_every_frame_fails_and_says_what_fits() {
+    let (drive, out, service) = (Drive::new(5.0), tempfile::tempdir().expect("a folder"), service_name("size"));
+    let camera_file = word(&drive.complete_camera_file());
+    let other_size = std::fs::read_to_string(&camera_file).expect("a camera file").replace("416", "1242");
+    write(Path::new(&camera_file), other_size);
+    let words = ["run", "--service", &service, "--camera", &camera_file, "--out", &word(out.path())];
+    let mut run = Program::start(words);
+    run.wait_for("waiting for a camera at", 1);
+    let camera = start_camera(&drive, &service);
+    run.wait_for("a camera message was refused", 3);
+    run.interrupt();
+    let ended = run.wait();
+    camera.kill();
+    let is_told = ended.stderr.contains("image of 416x128 px, the camera has 1242x128 px; give --camera");
+    assert!(ended.code == Some(1) && is_told, "{ended:?}");
+    let report = json(&out.path().join("report.json"));
+    assert!(count(&report, "/frames/refused") >= 3 && count(&report, "/frames/received") == 0, "{report}");
 }
 
 #[test]
