@@ -82,7 +82,15 @@ impl Compute {
             )),
             (BackendChoice::Cpu, None) => Ok(explicit(Api::Cpu)),
             (BackendChoice::Auto | BackendChoice::Vulkan, Some(request)) => {
-                Ok(explicit(Api::Vulkan(VulkanDevice::open(request).map(Arc::new).map_err(device)?)))
+                let opened = VulkanDevice::open(request).map(Arc::new).map_err(device)?;
+                if choice == BackendChoice::Auto && opened.info().kind == DeviceKind::Software {
+                    return Err(RunError::Device(format!(
+                        "choosing the compute device: {} is software, which --backend auto never takes; leave --device out, \
+                         or give --backend vulkan as well",
+                        opened.info().name
+                    )));
+                }
+                Ok(explicit(Api::Vulkan(opened)))
             }
             (BackendChoice::Vulkan, None) => {
                 Ok(explicit(Api::Vulkan(VulkanDevice::open(DeviceRequest::Any).map(Arc::new).map_err(device)?)))

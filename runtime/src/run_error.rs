@@ -62,6 +62,11 @@ impl RunError {
             Self::Export(error) => error.code(),
         }
     }
+
+    /// A result that standard output did not take.
+    pub(crate) fn stdout(error: std::io::Error) -> Self {
+        Self::Run(format!("writing to standard output: {error}; check what it leads to"))
+    }
 }
 
 impl From<kilogs_camera::cli::CameraError> for RunError {

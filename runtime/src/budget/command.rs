@@ -84,7 +84,7 @@ pub fn run(args: &BudgetArgs, settings: &Settings) -> Result<(), RunError> {
     let budget = Budget::load(args.budget.as_deref())?;
     let plan = Plan::compute(&budget, &args.camera.plan_input(settings)?);
     if !args.check {
-        println!("{plan}");
+        kilogs_eval::stdout::show(&format!("{plan}\n")).map_err(RunError::stdout)?;
     }
     Ok(plan.check()?)
 }

@@ -51,14 +51,14 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// Reads `file`, or takes the built-in default when there is none.
+    /// Reads `file`; without one `memory_budget.toml` of the current folder, and the built-in default where there is none.
     ///
     /// The name of a built-in profile (see [`PROFILES`]) is taken from the binary when no such file exists.
     ///
     /// # Errors
     /// [`BudgetError`] naming file, row and what to write instead.
     pub fn load(file: Option<&Path>) -> Result<Self, BudgetError> {
-        let Some(path) = file else { return Self::builtin() };
+        let path = file.unwrap_or_else(|| Path::new(PROFILES[0].0));
         match std::fs::read_to_string(path) {
             Ok(text) => Self::parse(&text, &path.display().to_string()),
             Err(error) => match PROFILES.iter().find(|(name, _)| Path::new(name) == path) {

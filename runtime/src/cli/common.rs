@@ -36,6 +36,34 @@ pub struct CommonArgs {
     pub seed: u64,
 }
 
+/// Options that every command takes, so that a script can give all of them the same: what computes.
+///
+/// Of no use to a command that computes nothing, and hidden there.
+#[derive(Debug, Clone, clap::Args)]
+pub struct UnusedKernelArgs {
+    #[arg(long, value_enum, hide = true)]
+    simd: Option<SimdChoice>,
+    #[arg(long, value_name = "N", hide = true, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+    #[arg(long, value_name = "N", hide = true)]
+    seed: Option<u64>,
+}
+
+/// The others of these options, but for the budget.
+#[derive(Debug, Clone, clap::Args)]
+pub struct UnusedArgs {
+    #[arg(long, value_name = "FILE", hide = true)]
+    config: Option<PathBuf>,
+    #[arg(long = "set", value_name = "KEY=VALUE", hide = true)]
+    set: Vec<String>,
+    #[arg(long, value_enum, hide = true)]
+    backend: Option<BackendChoice>,
+    #[arg(long, value_name = "N", hide = true)]
+    device: Option<u32>,
+    #[command(flatten)]
+    kernels: UnusedKernelArgs,
+}
+
 /// The map to go on with.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ResumeArgs {

@@ -5,7 +5,6 @@ use crate::fit::{self, Effort, FitRequest, Scene, SceneRequest};
 use crate::pipeline::RunPlan;
 use crate::run_error::RunError;
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Steps per view, unless told otherwise.
 const DEFAULT_STEPS_PER_VIEW: u64 = 20;
@@ -35,9 +34,9 @@ pub struct FitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..))]
     pub frames: Option<u64>,
     /// Training steps in all [default: 20 per view].
-    #[arg(long, value_name = "N", conflicts_with = "minutes", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub iterations: Option<u64>,
-    /// Train this long instead, insertion included.
+    /// Train this long instead, insertion included; with --iterations whichever ends first.
     #[arg(long, value_name = "M", value_parser = minutes)]
     pub minutes: Option<f64>,
     /// Room for this many Gaussians in memory, instead of what the budget says.
@@ -65,8 +64,7 @@ pub fn run(args: &FitArgs) -> Result<(), RunError> {
     let (poses, camera) = (args.poses.as_deref(), args.camera.as_deref());
     let scene = Scene::open(&SceneRequest { scene: &args.scene, poses, camera, frames })?;
     let plan = RunPlan::for_given_views(&args.common, scene.format(), &args.out, args.max_gaussians)?;
-    let steps = args.iterations.unwrap_or(DEFAULT_STEPS_PER_VIEW * scene.views.len() as u64);
-    let effort =
-        args.minutes.map_or(Effort::Iterations(steps), |minutes| Effort::Time(Duration::from_secs_f64(60.0 * minutes)));
+    let default_steps = DEFAULT_STEPS_PER_VIEW * scene.views.len() as u64;
+    let effort = Effort::of(args.iterations, args.minutes, default_steps);
     fit::run(FitRequest { scene, plan, effort })
 }

@@ -1,12 +1,14 @@
 //! `kilogs render` and `kilogs export`: commands on a stored map.
 
+use super::{CommonArgs, UnusedArgs};
 use crate::budget::{Budget, ComputeMemory, HumanBytes, MappingPlan, PlanInput, Row};
+use crate::compute::BackendPlan;
 use crate::export::{self, ExportArgs};
 use crate::map_store::MapStoreReader;
 use crate::render_views::command::{self, RenderArgs};
 use crate::run_error::RunError;
 use crate::splat::Capacities;
-use crate::splat::cpu::{CpuBackend, SimdLevel};
+use crate::splat::cpu::CpuBackend;
 use std::path::PathBuf;
 
 /// Options of `kilogs render`.
@@ -14,9 +16,8 @@ use std::path::PathBuf;
 pub struct RenderCommand {
     #[command(flatten)]
     args: RenderArgs,
-    /// Memory budget file, or the name of a built-in profile.
-    #[arg(long, value_name = "FILE")]
-    budget: Option<PathBuf>,
+    #[command(flatten)]
+    common: CommonArgs,
 }
 
 /// Options of `kilogs export`.
@@ -27,6 +28,8 @@ pub struct ExportCommand {
     /// Memory budget file, or the name of a built-in profile.
     #[arg(long, value_name = "FILE")]
     budget: Option<PathBuf>,
+    #[command(flatten)]
+    unused: UnusedArgs,
 }
 
 /// Runs `kilogs render`.
@@ -34,14 +37,20 @@ pub struct ExportCommand {
 /// # Errors
 /// [`RunError`].
 pub fn render(command: &RenderCommand) -> Result<(), RunError> {
-    let budget = Budget::load(command.budget.as_deref())?;
+    let common = &command.common;
+    let (budget, compute, simd) = (common.budget()?, common.compute()?, common.simd()?);
+    common.settings()?;
     let map = command::open(&command.args, budget.capacity(Row::StoreKeyframeTable))?;
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let capacities = capacities(&budget, &map);
+    let capacities = capacities(&budget, &map, compute.memory());
     check_memory(&budget, &capacities)?;
-    let backend = CpuBackend::new(capacities, threads, SimdLevel::best(), |_| ());
-    let mut backend = backend.map_err(|e| RunError::Device(e.to_string()))?;
-    let n_views = command::run(&command.args, &map, &mut backend)?;
+    let arena_cap_bytes = match compute.memory() {
+        ComputeMemory::OwnDevice => budget.device_bytes(),
+        ComputeMemory::Cpu | ComputeMemory::SharedDevice => budget.host_bytes(),
+    };
+    let n_threads = common.n_threads(false);
+    let mut backend =
+        compute.open(&BackendPlan { capacities, arena_cap_bytes, has_substitute: true, n_threads, simd })?;
+    let n_views = command::run(&command.args, &map, backend.as_mut())?;
     log::info!("{n_views} views rendered to {}", command.args.out.display());
     Ok(())
 }
@@ -58,7 +67,7 @@ pub fn export(command: &ExportCommand) -> Result<(), RunError> {
 }
 
 /// What the budget grants, for the map's own Gaussians and pictures.
-fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
+fn capacities(budget: &Budget, map: &MapStoreReader, compute: ComputeMemory) -> Capacities {
     let manifest = map.manifest();
     let input = PlanInput {
         width: manifest.camera.width,
@@ -71,7 +80,7 @@ fn capacities(budget: &Budget, map: &MapStoreReader) -> Capacities {
             learned_decoder: map.has_learned_decoder(),
             trains_depth: false,
         },
-        compute: ComputeMemory::Cpu,
+        compute,
         has_networks: false,
         has_loops: false,
     };

@@ -8,7 +8,7 @@ mod refine;
 mod replay;
 mod run;
 
-pub use common::{CommonArgs, ResumeArgs};
+pub use common::{CommonArgs, ResumeArgs, UnusedArgs, UnusedKernelArgs};
 
 use crate::run_error::RunError;
 use clap::{Parser, Subcommand};
@@ -40,7 +40,7 @@ enum Command {
     /// Improve a stored map in place.
     Refine(refine::RefineArgs),
     /// Judge an output folder against ground truth.
-    Eval(kilogs_eval::EvalArgs),
+    Eval(EvalCommand),
     /// Render views of a stored map.
     Render(map_commands::RenderCommand),
     /// Write a stored map as standard Gaussian-splatting files.
@@ -55,11 +55,23 @@ enum Command {
 }
 
 #[derive(Debug, clap::Args)]
+struct EvalCommand {
+    #[command(flatten)]
+    args: kilogs_eval::EvalArgs,
+    #[arg(long, value_name = "FILE", hide = true)]
+    budget: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    unused: UnusedArgs,
+}
+
+#[derive(Debug, clap::Args)]
 struct BudgetCommand {
     #[command(flatten)]
     args: crate::budget::BudgetArgs,
     #[command(flatten)]
     config: crate::config::ConfigArgs,
+    #[command(flatten)]
+    unused: UnusedKernelArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -68,6 +80,8 @@ struct DoctorCommand {
     args: crate::doctor::DoctorArgs,
     #[command(flatten)]
     config: crate::config::ConfigArgs,
+    #[command(flatten)]
+    unused: UnusedKernelArgs,
 }
 
 /// Parses the command line and runs its command.
@@ -82,7 +96,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Run(args) => run::run(args),
         Command::Fit(args) => fit::run(args),
         Command::Refine(args) => refine::run(args),
-        Command::Eval(args) => Ok(kilogs_eval::run(args)?),
+        Command::Eval(command) => Ok(kilogs_eval::run(&command.args)?),
         Command::Render(command) => map_commands::render(command),
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {
@@ -108,6 +122,46 @@ mod tests {
         for command in Cli::command().get_subcommands().filter(|c| !c.is_hide_set()) {
             let help = command.clone().render_long_help().to_string();
             assert!(help.contains("Example"), "{} has no example in its help", command.get_name());
+        }
+    }
+
+    #[test]
+    fn every_command_takes_the_options_that_scripts_give_to_all() {
+        const COMMANDS: [&[&str]; 10] = [
+            &["demo"],
+            &["replay", "drive", "--out", "o"],
+            &["run", "--service", "s", "--camera", "c.toml", "--out", "o"],
+            &["fit", "scene", "--out", "o"],
+            &["refine", "map"],
+            &["eval", "o", "--gt", "poses.txt"],
+            &["render", "map", "--trajectory", "t.txt", "--out", "o"],
+            &["export", "map", "--ply", "f.ply"],
+            &["budget"],
+            &["doctor"],
+        ];
+        const OPTIONS: [&str; 18] = [
+            "--config",
+            "c.toml",
+            "--set",
+            "a=b",
+            "--budget",
+            "b.toml",
+            "--backend",
+            "cpu",
+            "--device",
+            "0",
+            "--simd",
+            "avx2",
+            "--threads",
+            "2",
+            "--seed",
+            "3",
+            "--set",
+            "c=d",
+        ];
+        for command in COMMANDS {
+            let parsed = Cli::try_parse_from([&["kilogs"][..], command, &OPTIONS].concat());
+            assert!(parsed.is_ok(), "{command:?}: {}", parsed.map(|_| ()).unwrap_err());
         }
     }
 }

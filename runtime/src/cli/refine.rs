@@ -10,7 +10,6 @@ use crate::pipeline::RunPlan;
 use crate::refine::{self, RefineRequest};
 use crate::run_error::RunError;
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Steps per keyframe, unless told otherwise.
 const DEFAULT_STEPS_PER_KEYFRAME: u64 = 20;
@@ -27,9 +26,9 @@ pub struct RefineArgs {
     /// Folder of the map (the one with manifest.kgs), or of the run that holds it.
     pub map: PathBuf,
     /// Training steps in all [default: 20 per keyframe].
-    #[arg(long, value_name = "N", conflicts_with = "minutes", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub iterations: Option<u64>,
-    /// Train this long instead; judging the map before and after is not counted.
+    /// Train this long instead, or until --iterations are done; judging the map before and after is not counted.
     #[arg(long, value_name = "M", value_parser = minutes)]
     pub minutes: Option<f64>,
     /// Table of what each view scores afterwards: chunk, metres driven, PSNR, SSIM.
@@ -51,10 +50,8 @@ pub fn run(args: &RefineArgs) -> Result<(), RunError> {
         log::warn!("{}: left as it is: {damage}", args.map.display());
     }
     let plan = RunPlan::for_stored_map(&args.common, &budget, &map)?;
-    let steps = args.iterations.unwrap_or(DEFAULT_STEPS_PER_KEYFRAME * map.keyframes().len() as u64);
-    let effort =
-        args.minutes.map_or(Effort::Iterations(steps), |minutes| Effort::Time(Duration::from_secs_f64(60.0 * minutes)));
+    let default_steps = DEFAULT_STEPS_PER_KEYFRAME * map.keyframes().len() as u64;
+    let effort = Effort::of(args.iterations, args.minutes, default_steps);
     let summary = refine::run(&RefineRequest { map: &map, plan: &plan, effort, views_csv: args.views.as_deref() })?;
-    print!("{summary}");
-    Ok(())
+    kilogs_eval::stdout::show(&summary.to_string()).map_err(RunError::stdout)
 }

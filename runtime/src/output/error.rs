@@ -33,7 +33,7 @@ pub enum OutputError {
 }
 
 impl OutputError {
-    pub(super) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
+    pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         |source| Self::Write { path: path.to_owned(), source }
     }
 

@@ -7,6 +7,7 @@
 //!   training                      trainer.rs     every picture of the stretch as often as the others
 //!   lifecycle, once               renew.rs       what is faint, wrong or too much ends; what shows errors is split
 //!   pages, chunks                 stretch.rs     replaced file by file: whatever happens, the map opens
+//! figures of the run              run_folder.rs  follow the map, where a run left it
 //! ```
 //!
 //! Held-out views judge and are in no loss.
@@ -16,6 +17,7 @@ mod images;
 mod lifecycle;
 mod renew;
 mod run;
+mod run_folder;
 mod schedule;
 mod settings;
 mod stretch;

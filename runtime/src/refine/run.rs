@@ -1,6 +1,7 @@
 //! The whole command: what the map scores, training, what it scores then.
 
 use super::images::StoredImages;
+use super::run_folder::RunFolder;
 use super::schedule;
 use super::stretch::StretchMemory;
 use super::summary::{RefineSummary, Scores};
@@ -16,7 +17,7 @@ use crate::run_error::RunError;
 use indicatif::{ProgressBar, ProgressStyle};
 use kilogs_core::map::quota::RouteMeasure;
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -47,19 +48,26 @@ pub fn run(request: &RefineRequest<'_>) -> Result<RefineSummary, RunError> {
         .map_err(|e| RunError::Run(format!("taking over Ctrl-C: {e}")))?;
     // What cannot be written is known before the work.
     let editor = MapStoreEditor::open_for_pages(map, plan.budget.store_capacity().page_bytes)?;
-    let table = views_csv.map(ViewTable::create).transpose()?;
-    let before = score(map, plan, None)?;
+    let run_folder = RunFolder::of(map.folder());
+    let tables: Vec<PathBuf> =
+        views_csv.map(Path::to_owned).into_iter().chain(run_folder.as_ref().map(RunFolder::views_csv)).collect();
+    let before = score(map, plan, &[])?;
     let training = train(map, plan, effort, editor, &mut || !is_interrupted.load(Ordering::Relaxed))?;
     let trained = MapStoreReader::open(map.folder(), plan.budget.capacity(Row::StoreKeyframeTable))?;
-    let after = score(&trained, plan, table)?;
+    let after = score(&trained, plan, &tables)?;
+    if let Some(folder) = run_folder {
+        folder.update(&trained, &after)?;
+    }
     Ok(RefineSummary { before, after, training })
 }
 
-fn score(map: &MapStoreReader, plan: &RunPlan, mut table: Option<ViewTable>) -> Result<Scores, RunError> {
+/// What the map scores; what each view does goes into tables.
+fn score(map: &MapStoreReader, plan: &RunPlan, tables: &[PathBuf]) -> Result<Scores, RunError> {
     let mut backend = pipeline::backend(plan)?;
+    let mut tables = tables.iter().map(|path| ViewTable::create(path)).collect::<Result<Vec<_>, _>>()?;
     let quality =
-        judge_map(map, backend.as_mut(), &mut |view| Ok(table.as_mut().map_or(Ok(()), |table| table.push(view))?))?;
-    table.map_or(Ok(()), ViewTable::finish)?;
+        judge_map(map, backend.as_mut(), &mut |view| Ok(tables.iter_mut().try_for_each(|table| table.push(view))?))?;
+    tables.into_iter().try_for_each(ViewTable::finish)?;
     Ok(Scores::new(map, &quality, map.bytes()?))
 }
 

@@ -76,7 +76,7 @@ pub fn judge_map(
         let image = match map.read_image(view) {
             Ok(image) => image,
             Err(problem) => {
-                log::debug!("frame {} is not judged: {problem}", view.frame_index);
+                log::warn!("frame {} is left out of the figures: {problem}", view.frame_index);
                 quality.views_skipped += 1;
                 continue;
             }

@@ -83,6 +83,25 @@ fn training_helps_and_gives_the_same_bytes_again() {
     assert!(sections_db > little_db, "{sections_db} dB, {little_db} dB as inserted");
     let in_memory = count(&json(&path("sections/report.json")), "/mapping/anchors_resident");
     assert!(in_memory <= 10_000, "{in_memory} anchors");
+
+    // The figures of a run follow its map.
+    let (run, truth) = (word(&path("little")), word(&drive.file("poses.txt")));
+    kilogs_succeeds(["eval", &run, "--gt", &truth]);
+    kilogs_succeeds(["refine", &run, "--iterations", "200"]);
+    assert!(!path("little/eval.json").exists(), "it is of the map before");
+    let refined_db = number(&json(&path("little/report.json")), "/mapping/psnr_heldout_db");
+    assert!(refined_db > little_db, "{refined_db} dB, {little_db} dB before");
+    kilogs_succeeds(["eval", &run, "--gt", &truth]);
+    assert_eq!(number(&json(&path("little/eval.json")), "/psnr_heldout_db"), refined_db);
+    let views = std::fs::read_to_string(path("little/views.csv")).expect("a table");
+    let held_out: Vec<f64> = views
+        .lines()
+        .map(|line| line.split(',').collect::<Vec<_>>())
+        .filter(|row| row[3] == "1")
+        .map(|row| row[5].parse().expect("a number"))
+        .collect();
+    let mean_db = held_out.iter().sum::<f64>() / held_out.len() as f64;
+    assert!((mean_db - refined_db).abs() < 0.01, "{mean_db} dB in the table, {refined_db} dB in the report");
 }
 
 #[test]

@@ -196,3 +196,28 @@ fn a_run_that_fails_at_the_end_leaves_what_it_has() {
     std::os::unix::fs::symlink("/dev/full", full.join("frames.csv")).expect("a link");
     check_outputs_in_spite(&drive, &full, &[], 1, "frames.csv");
 }
+
+/// Exit code of a command in a folder.
+fn code_in(folder: &Path, words: &[&str]) -> Option<i32> {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_kilogs"));
+    let ended = command.args(words).current_dir(folder).output().expect("it starts");
+    ended.status.code()
+}
+
+#[test]
+fn the_budget_file_of_the_current_folder_counts() {
+    let folder = tempfile::tempdir().expect("a folder");
+    assert_eq!(code_in(folder.path(), &["budget", "--check"]), Some(0), "the built-in one");
+    write(&folder.path().join("memory_budget.toml"), BUDGET.replace("512 MiB", "64 MiB"));
+    assert_eq!(code_in(folder.path(), &["budget", "--check"]), Some(2));
+    assert_eq!(code_in(folder.path(), &["budget", "--check", "--budget", "1080p-2gib.toml"]), Some(0));
+}
+
+#[test]
+fn a_result_that_cannot_be_written_is_an_error() {
+    let status = |shell: &str| {
+        let line = shell.replace("KILOGS", env!("CARGO_BIN_EXE_kilogs"));
+        std::process::Command::new("sh").args(["-c", &line]).status().expect("a shell").code()
+    };
+    assert_eq!(status("KILOGS budget > /dev/full 2> /dev/null"), Some(1));
+}

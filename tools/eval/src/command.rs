@@ -5,6 +5,7 @@ use crate::associate::{self, PosePair};
 use crate::ate::{Ate, ate};
 use crate::rpe::{Rpe, rpe};
 use crate::segments::{SegmentErrors, distance_driven_m, segment_errors};
+use crate::stdout;
 use crate::trajectory::{StampedPose, Truth, read_times, read_truth, read_tum};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -152,9 +153,8 @@ pub fn run(args: &EvalArgs) -> Result<(), EvalError> {
     let text = serde_json::to_string_pretty(&judgement.file).map_err(std::io::Error::from);
     text.and_then(|text| std::fs::write(&path, text + "\n"))
         .map_err(|source| EvalError::Unwritable { path: path.clone(), source })?;
-    print!("{}", judgement.table());
-    println!("written: {}", path.display());
-    Ok(())
+    let text = format!("{}written: {}\n", judgement.table(), path.display());
+    stdout::show(&text).map_err(|source| EvalError::Unwritable { path: "standard output".into(), source })
 }
 
 /// Judges the folder without writing anything.

@@ -17,6 +17,7 @@ pub mod segments;
 pub mod image_quality;
 
 pub mod command;
+pub mod stdout;
 
 pub use command::{EvalArgs, EvalError, run};
 pub use image_quality::{ImageQuality, ImageQualityMeter};
