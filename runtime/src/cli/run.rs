@@ -13,7 +13,7 @@ use std::path::PathBuf;
     kilogs run --service front --camera DATASET/camera.toml --out out/run")]
 pub struct RunArgs {
     /// Name of the camera's service.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = kilogs_camera::ipc::parse_service)]
     pub service: String,
     /// camera.toml with size, intrinsics and mounting.
     #[arg(long, value_name = "FILE")]
@@ -34,6 +34,13 @@ pub struct RunArgs {
 /// # Errors
 /// [`RunError`].
 pub fn run(args: &RunArgs) -> Result<(), RunError> {
+    if args.camera.as_os_str() == "kitti" {
+        return Err(RunError::Usage(
+            "setting up the camera: `kitti` says nothing of size and intrinsics, which a recording has and a live camera \
+             has not; give --camera a camera.toml with width, height, fx, fy, cx, cy and height_m"
+                .to_owned(),
+        ));
+    }
     let described = CameraFile::read(&args.camera).and_then(|file| file.complete());
     let (camera, mounting) = described.map_err(|e| RunError::Usage(e.to_string()))?;
     // Nobody knows what a live camera will send before its first frame: color is the larger plan.

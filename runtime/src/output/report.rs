@@ -235,14 +235,13 @@ pub struct Backend {
 }
 
 impl Report {
-    /// Writes `report.json` into the output folder.
+    /// Writes `report.json` into the output folder, whole or not at all.
     ///
     /// # Errors
     /// [`OutputError`] when the disk does not take it.
     pub fn write(&self, dir: &Path) -> Result<(), OutputError> {
         let path = dir.join("report.json");
-        let text = serde_json::to_string_pretty(self).map_err(std::io::Error::from);
-        text.and_then(|text| std::fs::write(&path, text + "\n")).map_err(OutputError::write(&path))
+        kilogs_eval::replace_json(&path, self).map_err(OutputError::write(&path))
     }
 }
 

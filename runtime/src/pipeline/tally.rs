@@ -136,18 +136,19 @@ impl Tally {
             pnp: self.pnp,
             dense_fallback: self.dense,
             anomalies: self.anomalies,
-            scale_source: Some(self.metres_from()),
+            scale_source: self.metres_from(),
             loops: 0,
             path_length_m,
         }
     }
 
-    /// Where metres came from, as in `report.json`: what was measured, else what was asked for.
-    fn metres_from(&self) -> String {
-        let ScaleSource::Measured(asked) = self.scale_source else { return "given_poses".to_owned() };
-        let told = if self.merged == ScaleSources::NONE { asked } else { self.merged };
-        let names = NAMES.iter().filter(|(source, _)| told.contains(*source)).map(|(_, name)| *name);
-        names.collect::<Vec<_>>().join("+")
+    /// Where metres came from, as in `report.json`; unknown while nothing was measured.
+    fn metres_from(&self) -> Option<String> {
+        if self.scale_source == ScaleSource::GivenPoses {
+            return Some("given_poses".to_owned());
+        }
+        let names = NAMES.iter().filter(|(source, _)| self.merged.contains(*source)).map(|(_, name)| *name);
+        (self.merged != ScaleSources::NONE).then(|| names.collect::<Vec<_>>().join("+"))
     }
 
     /// Sources that were asked for by name and never told a scale that could be believed. Wheels that nobody publishes are

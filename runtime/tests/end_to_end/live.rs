@@ -118,6 +118,7 @@ fn a_run_without_any_camera_waits_and_can_be_ended() {
     assert!(ended.code == Some(1) && is_told, "{ended:?}");
     let report = json(&out.path().join("report.json"));
     assert_eq!(count(&report, "/frames/received"), 0, "{report}");
+    assert_eq!(report.pointer("/tracking/scale_source"), Some(&serde_json::Value::Null), "{report}");
     assert_eq!(report.pointer("/mapping/psnr_train_db"), Some(&serde_json::Value::Null), "{report}");
     assert!(out.path().join("report.html").exists(), "{}", ended.stderr);
 }

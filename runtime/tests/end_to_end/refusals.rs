@@ -53,10 +53,10 @@ fn a_recording_that_cannot_be_played_is_refused() {
         write(&drive.file("images/readme.txt"), "nothing");
     };
     refused(&no_images, 3, "has no .png or .jpg images");
-    refused(&|drive| remove(drive.file("calib.txt")), 2, "a recording needs a calib.txt");
-    refused(&|drive| write(&drive.file("calib.txt"), "P0: 1 2 3\n"), 2, "has 3 numbers, 12 are needed");
+    refused(&|drive| remove(drive.file("calib.txt")), 3, "a recording needs a calib.txt");
+    refused(&|drive| write(&drive.file("calib.txt"), "P0: 1 2 3\n"), 3, "has 3 numbers, 12 are needed");
     refused(&|drive| remove(drive.file("camera.toml")), 2, "height over the road is unknown");
-    refused(&|drive| write(&drive.file("camera.toml"), "height = 1.65\n"), 2, "camera.toml");
+    refused(&|drive| write(&drive.file("camera.toml"), "height = 1.65\n"), 3, "camera.toml");
     refused(&|drive| remove(drive.file("times.txt")), 3, "--fps");
     refused(&|drive| set_time(drive, 3, "0.05"), 3, "line 3: time goes backwards");
     refused(&|drive| set_time(drive, 2, "NaN"), 3, "line 2: NaN s is not a time");
@@ -139,6 +139,11 @@ fn settings_and_options_that_cannot_be_used_are_refused() {
     refused(&["--backend", "cpu", "--device", "0"], 2, "--device chooses among Vulkan devices");
     refused(&["--threads", "0"], 2, "--threads");
     refused(&["--no-such-option"], 2, "--no-such-option");
+    let run = |service, camera, text| check(&["run", "--service", service, "--camera", camera, "--out", "x"], 2, text);
+    run("", "camera.toml", "use letters, digits");
+    run("bad name!", "camera.toml", "use letters, digits");
+    run("front", "kitti", "give --camera a camera.toml with width, height");
+    check(&["camera", "sim", "--length", "2", "--write", "/proc/no"], 1, "or name another folder");
     check(&["demo", "--length", "inf"], 2, "not a number above 0");
     check(&["demo", "--length", "1e9"], 2, "the longest drive");
 

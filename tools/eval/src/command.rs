@@ -150,9 +150,8 @@ pub struct Judgement {
 pub fn run(args: &EvalArgs) -> Result<(), EvalError> {
     let judgement = judge(&args.dir, &args.gt, args.dataset.as_deref())?;
     let path = args.dir.join("eval.json");
-    let text = serde_json::to_string_pretty(&judgement.file).map_err(std::io::Error::from);
-    text.and_then(|text| std::fs::write(&path, text + "\n"))
-        .map_err(|source| EvalError::Unwritable { path: path.clone(), source })?;
+    let written = crate::replace_json(&path, &judgement.file);
+    written.map_err(|source| EvalError::Unwritable { path: path.clone(), source })?;
     let text = format!("{}written: {}\n", judgement.table(), path.display());
     stdout::show(&text).map_err(|source| EvalError::Unwritable { path: "standard output".into(), source })
 }

@@ -19,5 +19,8 @@ pub mod image_quality;
 pub mod command;
 pub mod stdout;
 
+mod json_file;
+
 pub use command::{EvalArgs, EvalError, run};
 pub use image_quality::{ImageQuality, ImageQualityMeter};
+pub use json_file::replace_json;

@@ -11,7 +11,7 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::camera_file::CameraArgument;
-use crate::ipc::{FrameSlots, Speed};
+use crate::ipc::{FrameSlots, Speed, parse_service};
 use crate::publish::{Pace, PublishError, PublishSettings, publish};
 use crate::sim::{SimArgs, SimError, Simulator, TruthRecorder, write_dataset};
 use crate::source::{
@@ -121,7 +121,7 @@ pub struct RangeArgs {
 #[derive(Clone, Debug, Args)]
 pub struct PublishArgs {
     /// Service name; a tracker attaches with `kilogs run --service NAME`.
-    #[arg(long, default_value = "front", value_name = "NAME")]
+    #[arg(long, default_value = "front", value_name = "NAME", value_parser = parse_service)]
     pub service: String,
     /// Play at the recorded speed, whether the tracker keeps up or not. Otherwise each frame waits for the tracker.
     #[arg(long)]
@@ -165,11 +165,11 @@ impl CameraError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Source(SourceError::File { .. })
-            | Self::Simulation(SimError::Path { .. } | SimError::Truth { .. })
+            | Self::Simulation(SimError::Path { .. })
             | Self::Publish(PublishError::NothingReadable { .. }) => 3,
             Self::Source(SourceError::Camera { .. } | SourceError::Range(_) | SourceError::LeftOut { .. })
             | Self::Simulation(SimError::Range { .. } | SimError::Degrade(_)) => 2,
-            Self::Publish(_) | Self::Signals(_) => 1,
+            Self::Simulation(SimError::Truth { .. }) | Self::Publish(_) | Self::Signals(_) => 1,
         }
     }
 }
@@ -309,9 +309,14 @@ mod tests {
         assert_eq!((lock_step.pace, lock_step.tracker_patience), (Pace::LockStep, Some(Duration::from_secs(30))));
         let live = settings(&["--live", "--rate", "2.5"]).expect("live");
         assert_eq!((live.pace, live.tracker_patience), (Pace::Live { rate: 2.5 }, None));
-        for bad in
-            [&["--rate", "2"][..], &["--live", "--rate", "0"], &["--live", "--rate", "NaN"], &["--ping-pong", "0"]]
-        {
+        for bad in [
+            &["--service", ""][..],
+            &["--service", "bad name!"],
+            &["--rate", "2"],
+            &["--live", "--rate", "0"],
+            &["--live", "--rate", "NaN"],
+            &["--ping-pong", "0"],
+        ] {
             assert!(settings(bad).is_err(), "{bad:?}");
         }
     }

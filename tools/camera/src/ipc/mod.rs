@@ -21,6 +21,6 @@ pub use header::{
 pub use messages::{Ack, FramePage, HealthMessage, OdometryMessage, PAGE_BYTES, Speed};
 pub use services::{
     AckService, EventService, FrameService, FrameSlots, HEALTH_SERVICE, Ipc, IpcError, IpcNode, ODOMETRY_SERVICE,
-    ack_name, create_node, frames_name, open_acks, open_events, open_frames, open_messages, open_speeds, speed_name,
-    unique_service_name,
+    ack_name, create_node, frames_name, open_acks, open_events, open_frames, open_messages, open_speeds, parse_service,
+    speed_name, unique_service_name,
 };

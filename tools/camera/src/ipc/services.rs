@@ -118,6 +118,11 @@ const ADVICE_DIRECTORIES: &str =
 const ADVICE_SERVICE: &str =
     "a program with other settings, or of another version, uses the name: end it, or give --service where there is one";
 
+const ADVICE_NAME: &str = "use letters, digits, '/', '-', '_' and '.', at most 200 characters";
+
+/// Longest name of a camera's service; iceoryx2 holds a little more, for what is appended.
+const MAX_SERVICE_BYTES: usize = 200;
+
 /// Joins the communication; clears away what crashed processes left behind. Signals stay with the program.
 ///
 /// # Errors
@@ -255,10 +260,20 @@ pub fn unique_service_name(purpose: &str) -> String {
     format!("kilogs/{purpose}-{}-{:x}", std::process::id(), since_epoch.as_nanos())
 }
 
+/// The name of a camera's service as typed: a name of other characters would never meet its other side.
+///
+/// # Errors
+/// What to type instead.
+pub fn parse_service(text: &str) -> Result<String, String> {
+    let is_known = |c: char| c.is_ascii_alphanumeric() || matches!(c, '/' | '-' | '_' | '.');
+    if text.is_empty() || text.len() > MAX_SERVICE_BYTES || !text.chars().all(is_known) {
+        return Err(ADVICE_NAME.to_owned());
+    }
+    Ok(text.to_owned())
+}
+
 fn checked(name: &str) -> Result<ServiceName, IpcError> {
-    ServiceName::new(name).map_err(|e| {
-        IpcError::new("naming the service", name, e, "use letters, digits, '/', '-' and '_', at most 200 characters")
-    })
+    ServiceName::new(name).map_err(|e| IpcError::new("naming the service", name, e, ADVICE_NAME))
 }
 
 #[cfg(test)]
@@ -296,6 +311,19 @@ mod tests {
     #[test]
     fn names_of_two_runs_differ() {
         assert_ne!(unique_service_name("test"), unique_service_name("test"));
+    }
+
+    #[test]
+    fn a_typed_name_is_taken_only_where_both_sides_can_meet() {
+        let longest = "x".repeat(MAX_SERVICE_BYTES);
+        for (name, is_good) in [("front", true), ("kilogs/a-1_b", true), (longest.as_str(), true)].into_iter().chain([
+            ("", false),
+            ("bad name!", false),
+            ("caméra", false),
+            (&*[&longest, "x"].concat(), false),
+        ]) {
+            assert_eq!(parse_service(name).is_ok(), is_good, "{name}");
+        }
     }
 
     #[test]

@@ -121,7 +121,9 @@ pub enum SimError {
     #[error(transparent)]
     Degrade(#[from] SourceError),
     /// The truth could not be written.
-    #[error("writing the simulator's truth to {path}: {reason}")]
+    #[error(
+        "writing the simulator's truth to {path}: {reason}; check free space and permissions, or name another folder"
+    )]
     Truth {
         /// The file.
         path: PathBuf,

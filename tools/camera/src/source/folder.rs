@@ -64,7 +64,7 @@ impl FolderSource {
         };
         let mut reader = ImageReader::default();
         let kind = first_readable(&mut reader, &layout.folder, &file_names)?;
-        let (format, distortion) = read_format(&layout, camera, kind)?;
+        let (format, distortion) = read_format(&layout, camera, kind).map_err(|error| of_data_set(error, camera))?;
         let format = SourceFormat { n_frames: Some(file_names.len() as u64), ..format };
         reader.rectify(distortion);
         let path = layout.folder.join("image");
@@ -92,6 +92,16 @@ impl IndexedFrames for FolderSource {
         self.reader
             .decode(&self.path, expected, pixels)
             .map_err(|reason| SourceError::file(&self.path, format!("{reason}; the frame is left out")))
+    }
+}
+
+/// A file of the data set that cannot be used is bad input; only the one given with `--camera` is a matter of usage.
+fn of_data_set(error: SourceError, given: Option<&CameraArgument>) -> SourceError {
+    match error {
+        SourceError::Camera { path, reason } if given != Some(&CameraArgument::File(path.clone())) => {
+            SourceError::File { path, reason }
+        }
+        other => other,
     }
 }
 
