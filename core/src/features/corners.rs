@@ -91,6 +91,8 @@ const MAX_COLUMNS: usize = 512;
 /// Largest cell and its halo of eight pixels fit into these lanes.
 const MAX_CELL_PX: usize = 48;
 const LANES: usize = 64;
+/// As the standard cell does with its halo.
+const FEW_LANES: usize = 32;
 
 /// Side of the block that gradients are averaged over, px.
 const BLOCK: usize = 5;
@@ -147,7 +149,10 @@ fn detect_in_cells<K: Kernel>(
         for (column, _) in occupied.iter().enumerate().take(columns).filter(|(_, occupied)| !**occupied) {
             let Some((left, right)) = overlap(column * side, side, border, image.width()) else { continue };
             report.n_empty_cells += 1;
-            let candidates = strongest_in_cell(kernel, image, [left, top], [right, bottom]);
+            let candidates = match right - left + 2 * HALO {
+                0..=FEW_LANES => strongest_in_cell::<K, FEW_LANES>(kernel, image, [left, top], [right, bottom]),
+                _ => strongest_in_cell::<K, LANES>(kernel, image, [left, top], [right, bottom]),
+            };
             let nearest_px2 = settings.min_distance_px * settings.min_distance_px;
             let far_from = |pixel, other| squared_distance(pixel, other) >= nearest_px2;
             let accepted = candidates.iter().find(|corner| {
@@ -186,11 +191,11 @@ fn insert(corner: Corner, corners: &mut [Corner], report: &mut CornerReport) {
 }
 
 /// Sums over a row of pixels of the products of gradients: xx, xy, yy.
-type ProductRow = [[i32; LANES]; 3];
+type ProductRow<const N: usize> = [[i32; N]; 3];
 
 /// The strongest local maxima of the response in `first..end`, strongest first; missing ones are [`Corner::NONE`].
 #[inline(always)]
-fn strongest_in_cell<K: Kernel>(
+fn strongest_in_cell<K: Kernel, const N: usize>(
     kernel: K,
     image: ImageView<'_>,
     first: [usize; 2],
@@ -199,9 +204,9 @@ fn strongest_in_cell<K: Kernel>(
     let mut strongest = [(0.0f32, Corner::NONE); CANDIDATES];
     let (left, top) = (first[0] - HALO, first[1] - HALO);
     let n_lanes = end[0] - first[0] + 2 * HALO;
-    let mut sums = BlockSums::NONE;
+    let mut sums = BlockSums::<N>::NONE;
     // Three rows of responses and of the sums that they came from; the middle one is searched for maxima.
-    let mut responses = [[0.0f32; LANES]; 3];
+    let mut responses = [[0.0f32; N]; 3];
     let mut middle_block = sums.block;
     for y in top + 1..end[1] + HALO - 1 {
         sums.slide(y, product_row(image, left, y, n_lanes));
@@ -224,20 +229,20 @@ fn strongest_in_cell<K: Kernel>(
 }
 
 /// Sums over the last rows of products.
-struct BlockSums {
-    ring: [ProductRow; BLOCK],
-    block: ProductRow,
+struct BlockSums<const N: usize> {
+    ring: [ProductRow<N>; BLOCK],
+    block: ProductRow<N>,
 }
 
-impl BlockSums {
-    const NONE: Self = Self { ring: [[[0; LANES]; 3]; BLOCK], block: [[0; LANES]; 3] };
+impl<const N: usize> BlockSums<N> {
+    const NONE: Self = Self { ring: [[[0; N]; 3]; BLOCK], block: [[0; N]; 3] };
 
     /// Takes row `y` in and drops the row that is [`BLOCK`] rows above.
     #[inline(always)]
-    fn slide(&mut self, y: usize, entering: ProductRow) {
+    fn slide(&mut self, y: usize, entering: ProductRow<N>) {
         let leaving = core::mem::replace(&mut self.ring[y % BLOCK], entering);
         for ((block, entering), leaving) in self.block.iter_mut().zip(&entering).zip(&leaving) {
-            for i in 0..LANES {
+            for i in 0..N {
                 block[i] += entering[i] - leaving[i];
             }
         }
@@ -255,7 +260,7 @@ fn keep_strongest(strongest: &mut [(f32, Corner); CANDIDATES], response: f32, co
 
 /// Ties go to the pixel that comes first.
 #[inline(always)]
-fn is_maximum(responses: &[[f32; LANES]; 3], i: usize) -> bool {
+fn is_maximum<const N: usize>(responses: &[[f32; N]; 3], i: usize) -> bool {
     let [above, here, below] = responses;
     let response = here[i];
     let before = [above[i - 1], above[i], above[i + 1], here[i - 1]];
@@ -265,18 +270,18 @@ fn is_maximum(responses: &[[f32; LANES]; 3], i: usize) -> bool {
 
 /// Gradient products of row `y` from column `left` on, summed over [`BLOCK`] columns; lane i is centred on `left + i`.
 #[inline(always)]
-fn product_row(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> ProductRow {
+fn product_row<const N: usize>(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> ProductRow<N> {
     let load = |y: usize| {
-        let mut lanes = [0i16; LANES];
+        let mut lanes = [0i16; N];
         if let Some(pixels) = image.row(y).get(left..left + n_lanes) {
             lanes.iter_mut().zip(pixels).for_each(|(lane, &p)| *lane = i16::from(p));
         }
         lanes
     };
     let (above, here, below) = (load(y.wrapping_sub(1)), load(y), load(y + 1));
-    let mut products = [[0i32; LANES]; 3];
-    for i in 1..LANES - 1 {
-        let dx = |row: &[i16; LANES]| row[i + 1] - row[i - 1];
+    let mut products = [[0i32; N]; 3];
+    for i in 1..N - 1 {
+        let dx = |row: &[i16; N]| row[i + 1] - row[i - 1];
         let dy = |i: usize| below[i] - above[i];
         let gx = i32::from(dx(&above) + 2 * dx(&here) + dx(&below));
         let gy = i32::from(dy(i - 1) + 2 * dy(i) + dy(i + 1));
@@ -284,9 +289,9 @@ fn product_row(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> P
         products[1][i] = gx * gy;
         products[2][i] = gy * gy;
     }
-    let mut sums = [[0i32; LANES]; 3];
+    let mut sums = [[0i32; N]; 3];
     for (sums, row) in sums.iter_mut().zip(&products) {
-        for i in BLOCK / 2..LANES - BLOCK / 2 {
+        for i in BLOCK / 2..N - BLOCK / 2 {
             sums[i] = row[i - 2] + row[i - 1] + row[i] + row[i + 1] + row[i + 2];
         }
     }
@@ -295,9 +300,9 @@ fn product_row(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> P
 
 /// `λ1 λ2 / (λ1 + λ2)` of the summed products; 0 where there is no gradient.
 #[inline(always)]
-fn response_row([xx, xy, yy]: &[[i32; LANES]; 3]) -> [f32; LANES] {
-    let mut responses = [0.0; LANES];
-    for i in 0..LANES {
+fn response_row<const N: usize>([xx, xy, yy]: &[[i32; N]; 3]) -> [f32; N] {
+    let mut responses = [0.0; N];
+    for i in 0..N {
         let (xx, xy, yy) = (xx[i] as f32, xy[i] as f32, yy[i] as f32);
         // Products are integers: a trace of one is far below any threshold and keeps 0 / 0 away.
         responses[i] = (xx * yy - xy * xy) / (xx + yy).max(1.0);
@@ -306,7 +311,7 @@ fn response_row([xx, xy, yy]: &[[i32; LANES]; 3]) -> [f32; LANES] {
 }
 
 #[inline(always)]
-fn min_eigenvalue<K: Kernel>(kernel: K, block: &[[i32; LANES]; 3], i: usize) -> f32 {
+fn min_eigenvalue<K: Kernel, const N: usize>(kernel: K, block: &[[i32; N]; 3], i: usize) -> f32 {
     /// A Sobel sum is eight times the gradient.
     const UNIT: f32 = (BLOCK * BLOCK * 64) as f32;
     let [xx, xy, yy] = [0, 1, 2].map(|k: usize| block[k][i] as f32 / UNIT);

@@ -133,6 +133,12 @@ impl<'a> ImageView<'a> {
         let start = y * self.stride;
         self.pixels.get(start..start + self.width).unwrap_or(&[])
     }
+
+    /// The bytes from a pixel on, rows [`stride`](Self::stride) apart; empty behind the image.
+    #[inline(always)]
+    pub(crate) fn from_pixel(&self, x: usize, y: usize) -> &'a [u8] {
+        self.pixels.get(y * self.stride + x..).unwrap_or(&[])
+    }
 }
 
 impl PartialEq for ImageView<'_> {

@@ -1,9 +1,11 @@
 //! The road's plane from the direct alignment of its pixels between two images.
 
-use super::strip::{Alignment, Fit, Normal5, Strip};
+use super::equations::Fit;
+use super::strip::{Alignment, Normal5, Strip};
 use super::tiles::{Election, elect};
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::Rigid;
+use crate::features::SimdLevel;
 use crate::frame::Pyramid;
 use core::fmt;
 use nalgebra::{Matrix3, Vector3};
@@ -140,12 +142,13 @@ impl core::error::Error for RoadProblem {}
 /// [`RoadProblem`]: nothing was learnt about the scale.
 ///
 /// # Cost
-/// O(pixels of the strip in the working level * (heights + iterations)); 30 KiB of stack.
+/// O(pixels of the strip in the working level * (heights + iterations)); 30 KiB of stack. Same bits on every SIMD level.
 ///
 /// # Source
 /// Faugeras & Lustman 1988 (plane-induced homography); Baker & Matthews 2004 (alignment). Own derivation of the
 /// parametrisation and the election.
 pub fn align_road(
+    simd: SimdLevel,
     pair: &RoadPair<'_, '_>,
     range: [f64; 2],
     mounting: &Mounting,
@@ -155,7 +158,7 @@ pub fn align_road(
     let finest = finest_level(pair, settings);
     let nothing = RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels };
     let working = Strip::new(pair, finest).ok_or(nothing)?;
-    let election = elect(&working, pair, mounting, settings, range)?;
+    let election = elect(simd, &working, pair, mounting, settings, range)?;
     if election.margin < settings.min_margin {
         return Err(RoadProblem::Ambiguous { margin: election.margin });
     }
@@ -165,7 +168,7 @@ pub fn align_road(
     for level in (finest..(finest + 2).min(pair.later.n_levels())).rev() {
         let Some(strip) = Strip::new(pair, level) else { continue };
         let before = state;
-        match state.iterate(&strip, pair, &election.mask, mounting, settings) {
+        match state.iterate(simd, &strip, pair, &election.mask, mounting, settings) {
             Ok(found) => measured = Some(found),
             // A coarse level only brings the start nearer: one that is too small for that is left out.
             Err(RoadProblem::TooFewPixels { .. }) if level > finest => state = before,

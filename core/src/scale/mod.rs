@@ -1,5 +1,6 @@
 //! Metres: the road under the camera is at a known distance, a network knows depths, wheels roll; one filter merges them.
 
+mod equations;
 pub mod ground_plane;
 mod scale_filter;
 mod sources;

@@ -1,28 +1,25 @@
-//! The road strip in two images, and the equations of its alignment.
+//! The road strip in two images, and the iteration that aligns it.
 
+use super::equations::{Fit, RoadView, equations};
 use super::ground_plane::{RoadPair, RoadProblem, RoadSettings};
 use super::tiles::RoadMask;
 use crate::camera::{Mounting, Pinhole};
+use crate::features::SimdLevel;
 use crate::frame::ImageView;
 use nalgebra::{SMatrix, SVector, Unit, Vector3};
 
-/// Width of Tukey's kernel in standard deviations (95 % efficiency).
-const TUKEY_SIGMAS: f64 = 4.685;
-/// Standard deviation over mean absolute deviation of Gaussian noise.
-const SIGMA_PER_MEAN_ABSOLUTE: f64 = 1.2533;
-/// Camera noise and rounding, grey values: a residual is never weighed as if it were smaller.
-const MIN_NOISE_GREY: f64 = 1.0;
 /// Neighbouring pixels and the interpolation share noise: one in this many counts as independent.
 const PIXELS_PER_INDEPENDENT: f64 = 16.0;
 /// A step that moves the nearest road by less than this many pixels ends the iteration.
 const NEGLIGIBLE_STEP_PX: f64 = 0.005;
+
 pub(super) type Normal5 = SMatrix<f64, 5, 5>;
 pub(super) type Vector5 = SVector<f64, 5>;
 
 /// Rows and columns of the strip in one level, and the maps between its pixels and rays.
 pub(super) struct Strip<'a> {
     pub(super) later: ImageView<'a>,
-    earlier: ImageView<'a>,
+    pub(super) earlier: ImageView<'a>,
     pub(super) camera: Pinhole,
 }
 
@@ -57,92 +54,14 @@ impl<'a> Strip<'a> {
     pub(super) fn later_at(&self, column: usize, row: usize) -> Option<f64> {
         (row < self.later.height()).then(|| self.later.row(row).get(column).map(|&grey| f64::from(grey))).flatten()
     }
-
-    /// Grey value of the earlier image where it sees a point, between the pixels.
-    pub(super) fn earlier_grey(&self, in_earlier: &Vector3<f64>) -> Option<f64> {
-        let c = &self.camera;
-        // Pixel i is centred at i + 0.5.
-        let x = c.fx * in_earlier.x / in_earlier.z + c.cx - 0.5;
-        let y = c.fy * in_earlier.y / in_earlier.z + c.cy - 0.5;
-        let (column, row) = (x as usize, y as usize);
-        if !(x >= 0.0 && y >= 0.0 && row + 1 < self.earlier.height()) {
-            return None;
-        }
-        let upper = self.earlier.row(row).get(column..column + 2)?;
-        let lower = self.earlier.row(row + 1).get(column..column + 2)?;
-        let (fx, fy) = (x - column as f64, y - row as f64);
-        let mix = |pixels: &[u8]| f64::from(pixels[0]) + fx * (f64::from(pixels[1]) - f64::from(pixels[0]));
-        let (above, below) = (mix(upper), mix(lower));
-        Some(above + fy * (below - above))
-    }
-}
-
-/// Value and gradient of an image at a sub-pixel position whose 4x4 neighbourhood is inside.
-fn sample(image: &ImageView<'_>, x_px: f64, y_px: f64) -> Option<(f64, f64, f64)> {
-    // Pixel i is centred at i + 0.5.
-    let (x, y) = (x_px - 0.5, y_px - 0.5);
-    let (x0, y0) = (libm::floor(x), libm::floor(y));
-    if !(x0 >= 1.0 && y0 >= 1.0 && x0 + 2.0 < image.width() as f64 && y0 + 2.0 < image.height() as f64) {
-        return None;
-    }
-    let (fx, fy) = (x - x0, y - y0);
-    let (column, row) = (x0 as usize, y0 as usize);
-    let at = |dy: usize| -> Option<[f64; 4]> {
-        let r = image.row(row + dy - 1).get(column - 1..column + 3)?;
-        Some([f64::from(r[0]), f64::from(r[1]), f64::from(r[2]), f64::from(r[3])])
-    };
-    let (above, upper, lower, below) = (at(0)?, at(1)?, at(2)?, at(3)?);
-    let mix = |r: &[f64; 4], i: usize| r[i] + fx * (r[i + 1] - r[i]);
-    let value = mix(&upper, 1) + fy * (mix(&lower, 1) - mix(&upper, 1));
-    let dx = |r: &[f64; 4]| 0.5 * ((r[2] - r[0]) * (1.0 - fx) + (r[3] - r[1]) * fx);
-    let gradient_x = dx(&upper) + fy * (dx(&lower) - dx(&upper));
-    let gradient_y = 0.5 * ((mix(&lower, 1) - mix(&above, 1)) * (1.0 - fy) + (mix(&below, 1) - mix(&upper, 1)) * fy);
-    Some((value, gradient_x, gradient_y))
 }
 
 #[derive(Clone, Copy)]
 pub(super) struct Alignment {
     /// Normal over height, 1/m.
     pub(super) plane: Vector3<f64>,
-    gain: f64,
-    bias: f64,
-}
-
-/// How well the strips agree.
-pub(super) struct Fit {
-    pub(super) n_pixels: usize,
-    pub(super) correlation: f64,
-    noise: f64,
-}
-
-/// Sums for the correlation of two strips.
-#[derive(Default)]
-struct Moments {
-    n: f64,
-    a: f64,
-    b: f64,
-    aa: f64,
-    bb: f64,
-    ab: f64,
-    absolute: f64,
-}
-
-impl Moments {
-    fn add(&mut self, a: f64, b: f64, weight: f64, absolute: f64) {
-        self.n += weight;
-        self.a += weight * a;
-        self.b += weight * b;
-        self.aa += weight * a * a;
-        self.bb += weight * b * b;
-        self.ab += weight * a * b;
-        self.absolute += weight * absolute;
-    }
-
-    fn correlation(&self) -> f64 {
-        let covariance = self.ab - self.a * self.b / self.n;
-        let (va, vb) = (self.aa - self.a * self.a / self.n, self.bb - self.b * self.b / self.n);
-        covariance / libm::sqrt(va * vb).max(f64::MIN_POSITIVE)
-    }
+    pub(super) gain: f64,
+    pub(super) bias: f64,
 }
 
 impl Alignment {
@@ -154,6 +73,7 @@ impl Alignment {
     /// Gauss-Newton on one level; returns the last normal equations and the fit.
     pub(super) fn iterate(
         &mut self,
+        simd: SimdLevel,
         strip: &Strip<'_>,
         pair: &RoadPair<'_, '_>,
         mask: &RoadMask,
@@ -165,8 +85,8 @@ impl Alignment {
         let mut noise = f64::INFINITY;
         let mut last = None;
         for _ in 0..settings.max_iterations {
-            let (mut hessian, mut gradient, fit) =
-                self.equations(strip, pair, mask, [mounting.height_m, noise], settings);
+            let view = RoadView { strip, pair, mask, mounting_height_m: mounting.height_m, settings };
+            let (mut hessian, mut gradient, fit) = equations(simd, &view, self, noise);
             if fit.n_pixels < settings.min_pixels {
                 return Err(RoadProblem::TooFewPixels { found: fit.n_pixels, needed: settings.min_pixels });
             }
@@ -212,69 +132,6 @@ impl Alignment {
                     hessian[(i, j)] += weight * axis[i] * axis[j];
                 }
             }
-        }
-    }
-
-    /// Normal equations (lower triangle) over the strip's pixels that show the road. An infinite `noise` weighs all pixels alike.
-    pub(super) fn equations(
-        &self,
-        strip: &Strip<'_>,
-        pair: &RoadPair<'_, '_>,
-        mask: &RoadMask,
-        [mounting_height_m, noise]: [f64; 2],
-        settings: &RoadSettings,
-    ) -> (Normal5, Vector5, Fit) {
-        let (mut hessian, mut gradient, mut moments) = (Normal5::zeros(), Vector5::zeros(), Moments::default());
-        let rotation = *pair.earlier_from_later.rotation.to_rotation_matrix().matrix();
-        let t = pair.earlier_from_later.translation.vector;
-        let c = &strip.camera;
-        let mut n_pixels = 0;
-        for row in 0..strip.later.height() {
-            let y = strip.y_z1(row);
-            let Some((first, end)) = columns(pair, mounting_height_m, settings, c, y) else {
-                continue;
-            };
-            let pixels = strip.later.row(row);
-            let standing = strip.earlier.row(row);
-            for (column, &later) in pixels.iter().enumerate().take(end).skip(first) {
-                let ray = Vector3::new((column as f64 + 0.5 - c.cx) / c.fx, y, 1.0);
-                if mask.excludes(ray.x, y) {
-                    continue;
-                }
-                let q = rotation * ray + t * self.plane.dot(&ray);
-                let inverse_z = 1.0 / q.z;
-                let (u, v) = (q.x * inverse_z, q.y * inverse_z);
-                let Some((value, gx, gy)) = sample(&strip.earlier, c.fx * u + c.cx, c.fy * v + c.cy) else { continue };
-                let later = f64::from(later);
-                let r = self.gain * value + self.bias - later;
-                let ratio = r / (TUKEY_SIGMAS * noise);
-                let tukey = if ratio.abs() < 1.0 { (1.0 - ratio * ratio) * (1.0 - ratio * ratio) } else { 0.0 };
-                // Zero where nothing changed, and symmetric in the two pixels that the residual compares: a weight
-                // that knew only one of them would correlate its noise with the gradient and shorten the step.
-                let still = standing.get(column).map_or(later, |&s| f64::from(s));
-                let change2 = ((still - later) * (still - later - r)).max(0.0);
-                let weight = tukey * (change2 + f64::EPSILON)
-                    / (change2 + settings.standing_grey * settings.standing_grey + f64::EPSILON);
-                n_pixels += 1;
-                moments.add(value, later, weight, r.abs());
-                let along = self.gain * inverse_z * (gx * c.fx * (t.x - u * t.z) + gy * c.fy * (t.y - v * t.z));
-                let jacobian = Vector5::new(along * ray.x, along * ray.y, along, value, 1.0);
-                add_lower(&mut hessian, weight, &jacobian);
-                gradient.axpy(weight * r, &jacobian, 1.0);
-            }
-        }
-        let absolute = moments.absolute / moments.n.max(f64::MIN_POSITIVE);
-        let noise = (SIGMA_PER_MEAN_ABSOLUTE * absolute).max(MIN_NOISE_GREY);
-        (hessian, gradient, Fit { n_pixels, correlation: moments.correlation(), noise })
-    }
-}
-
-/// Adds a weighted square of a row to the lower triangle, which is all that its factorisation reads.
-fn add_lower(hessian: &mut Normal5, weight: f64, row: &Vector5) {
-    for j in 0..5 {
-        let weighted = weight * row[j];
-        for i in j..5 {
-            hessian[(i, j)] += weighted * row[i];
         }
     }
 }

@@ -1,6 +1,7 @@
 use super::*;
 use crate::camera::{Mounting, Pinhole};
 use crate::conventions::Rigid;
+use crate::features::SimdLevel;
 use crate::frame::{ImageView, Pyramid, pyramid::bytes_needed};
 use nalgebra::Vector3;
 use std::vec::Vec;
@@ -100,7 +101,7 @@ fn measure_with(
         expected_normal: MOUNTING.road_normal_in_camera(),
         expected_height_m: MOUNTING.height_m,
     };
-    align_road(&pair, range, &MOUNTING, settings)
+    align_road(SimdLevel::new(), &pair, range, &MOUNTING, settings)
 }
 
 fn forward(metres: f64, yaw_rad: f64) -> Rigid {

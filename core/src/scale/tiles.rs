@@ -3,6 +3,8 @@
 use super::ground_plane::{RoadPair, RoadProblem, RoadSettings};
 use super::strip::{Strip, columns};
 use crate::camera::Mounting;
+use crate::features::SimdLevel;
+use crate::features::lanes::{Kernel, KernelTask};
 use nalgebra::{Matrix3, Vector3};
 
 /// Width and height of a tile in pixels of the voting level.
@@ -73,12 +75,18 @@ impl RoadMask {
         }
     }
 
-    /// Whether a ray falls into a tile that is left out.
-    pub(super) fn excludes(&self, x_z1: f64, y_z1: f64) -> bool {
-        let column = (x_z1 - self.left_z1) / self.size_z1[0];
+    /// The tiles that are left out of those beside each other at a height on the plane z = 1, a bit each.
+    #[inline(always)]
+    pub(super) fn row(&self, y_z1: f64) -> u128 {
         let row = (y_z1 - self.first_row_z1) / self.size_z1[1];
-        let is_inside = row >= 0.0 && column >= 0.0 && column < MAX_TILES[0] as f64;
-        is_inside && self.rows.get(row as usize).is_some_and(|bits| bits >> (column as usize) & 1 == 1)
+        if row >= 0.0 { self.rows.get(row as usize).copied().unwrap_or(0) } else { 0 }
+    }
+
+    /// Whether a ray falls into a tile of `row` that is left out.
+    #[inline(always)]
+    pub(super) fn excludes(&self, row: u128, x_z1: f64) -> bool {
+        let column = (x_z1 - self.left_z1) / self.size_z1[0];
+        column >= 0.0 && column < MAX_TILES[0] as f64 && row >> (column as u32) & 1 == 1
     }
 }
 
@@ -97,6 +105,7 @@ impl RoadMask {
 /// # Source
 /// Own: maximum of a product of mixtures, as in robust voting.
 pub(super) fn elect(
+    simd: SimdLevel,
     strip: &Strip<'_>,
     pair: &RoadPair<'_, '_>,
     mounting: &Mounting,
@@ -117,7 +126,7 @@ pub(super) fn elect(
     let (mut opinion, mut n_votes) = ([0.0; MAX_HEIGHTS], 0);
     let tiles = || tiles(strip, pair, mounting, settings);
     for (place, tile) in tiles() {
-        if let Some(least) = vote(&tile, planes, &mut opinion) {
+        if let Some(least) = vote(simd, &tile, planes, &mut opinion) {
             least_of.note(place, least);
             n_votes += 1;
         }
@@ -134,7 +143,9 @@ pub(super) fn elect(
     let mut n_agreeing = n_votes;
     for (place, tile) in tiles() {
         let least = least_of.at(place);
-        let found = near.iter().map(|plane| tile.variance(plane)).fold(f64::INFINITY, f64::min);
+        let mut variances = [f64::INFINITY; MAX_HEIGHTS];
+        tile.variances(simd, near, &mut variances);
+        let found = variances.iter().take(near.len()).copied().fold(f64::INFINITY, f64::min);
         if least != NO_VOTE && excess(found, f64::from(least)) > MAX_EXCESS {
             n_agreeing -= 1;
             mask.exclude(place);
@@ -193,23 +204,29 @@ fn tiles<'a, 's>(
 /// Adds one tile's opinion of the heights; returns its least variance, or `None` when the tile has no texture.
 ///
 /// The ends of the row have no vote: what fits there best is beyond the heights that are tried.
-fn vote(tile: &Tile<'_, '_>, planes: &[Vector3<f64>], opinion: &mut [f64; MAX_HEIGHTS]) -> Option<f64> {
+fn vote(
+    simd: SimdLevel,
+    tile: &Tile<'_, '_>,
+    planes: &[Vector3<f64>],
+    opinion: &mut [f64; MAX_HEIGHTS],
+) -> Option<f64> {
     if tile.texture()? < MIN_TEXTURE_GREY * MIN_TEXTURE_GREY {
         return None;
     }
     let mut variances = [f64::INFINITY; MAX_HEIGHTS];
-    for (variance, plane) in variances.iter_mut().zip(planes) {
-        *variance = tile.variance(plane);
-    }
+    tile.variances(simd, planes, &mut variances);
     let (best, &least) = variances.iter().take(planes.len()).enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
     if !least.is_finite() {
         return None;
     }
     if best > 0 && best + 1 < planes.len() {
-        let likelihood = |&variance: &f64| libm::exp(-excess(variance, least));
-        let total: f64 = variances.iter().take(planes.len()).map(likelihood).sum();
-        for (o, v) in opinion.iter_mut().zip(&variances).take(planes.len()) {
-            *o += libm::log((1.0 - STRANGE_SHARE) * likelihood(v) / total + STRANGE_SHARE / planes.len() as f64);
+        let mut likelihoods = [0.0; MAX_HEIGHTS];
+        for (likelihood, &variance) in likelihoods.iter_mut().zip(&variances).take(planes.len()) {
+            *likelihood = libm::exp(-excess(variance, least));
+        }
+        let total: f64 = likelihoods.iter().take(planes.len()).sum();
+        for (o, likelihood) in opinion.iter_mut().zip(likelihoods).take(planes.len()) {
+            *o += libm::log((1.0 - STRANGE_SHARE) * likelihood / total + STRANGE_SHARE / planes.len() as f64);
         }
     }
     Some(least)
@@ -248,18 +265,89 @@ impl<'a, 's> Tile<'a, 's> {
         Self { strip, translation, pixels }
     }
 
-    /// Variance of the differences between the two images when the road is this plane; infinite where it is not seen.
-    fn variance(&self, plane: &Vector3<f64>) -> f64 {
-        let differences = self.pixels.iter().map(|p| {
-            let seen = self.strip.earlier_grey(&(p.turned + self.translation * plane.dot(&p.ray)))?;
-            Some(seen - p.later?)
-        });
-        variance(differences).unwrap_or(f64::INFINITY)
+    /// Variances of the differences between the two images when the road is one of these planes; infinite where it is not seen.
+    fn variances(&self, simd: SimdLevel, planes: &[Vector3<f64>], variances: &mut [f64]) {
+        simd.run(Variances { tile: self, planes, variances });
     }
 
     /// Variance of its grey values.
     fn texture(&self) -> Option<f64> {
         variance(self.pixels.iter().map(|p| p.later))
+    }
+}
+
+/// Planes that are tried together: four 64-bit numbers are a register.
+const LANES: usize = 4;
+type Four = [f64; LANES];
+
+struct Variances<'a, 's, 't> {
+    tile: &'t Tile<'a, 's>,
+    planes: &'t [Vector3<f64>],
+    variances: &'t mut [f64],
+}
+
+impl KernelTask for Variances<'_, '_, '_> {
+    #[inline(always)]
+    fn run<K: Kernel>(self, _kernel: K) {
+        let Some(&last) = self.planes.last() else { return };
+        for (planes, variances) in self.planes.chunks(LANES).zip(self.variances.chunks_mut(LANES)) {
+            let mut together = [[0.0; LANES]; 3];
+            for i in 0..LANES {
+                let plane = planes.get(i).unwrap_or(&last);
+                (together[0][i], together[1][i], together[2][i]) = (plane.x, plane.y, plane.z);
+            }
+            let found = self.tile.variances_of_four(&together);
+            variances.iter_mut().zip(found).take(planes.len()).for_each(|(slot, found)| *slot = found);
+        }
+    }
+}
+
+impl Tile<'_, '_> {
+    /// As [`variances`](Self::variances), of four planes by their components.
+    #[inline(always)]
+    fn variances_of_four(&self, planes: &[Four; 3]) -> Four {
+        let (c, t, image) = (&self.strip.camera, &self.translation, &self.strip.earlier);
+        let last = [image.width() as f64 - 1.0, image.height() as f64 - 1.0];
+        let (mut sum, mut squares, mut is_seen) = ([0.0; LANES], [0.0; LANES], [true; LANES]);
+        for TilePixel { ray, turned, later } in &self.pixels {
+            let (Some(later), true) = (later, is_seen != [false; LANES]) else { return [f64::INFINITY; LANES] };
+            let [mut x, mut y, mut fx, mut fy] = [[0.0; LANES]; 4];
+            for i in 0..LANES {
+                let shift = planes[0][i] * ray.x + planes[1][i] * ray.y + planes[2][i] * ray.z;
+                let z = turned.z + t.z * shift;
+                // Pixel i is centred at i + 0.5.
+                x[i] = c.fx * (turned.x + t.x * shift) / z + c.cx - 0.5;
+                y[i] = c.fy * (turned.y + t.y * shift) / z + c.cy - 0.5;
+            }
+            let mut corners = [[0u8; LANES]; 4];
+            for i in 0..LANES {
+                is_seen[i] &= x[i] >= 0.0 && y[i] >= 0.0 && x[i] < last[0] && y[i] < last[1];
+                if !is_seen[i] {
+                    continue;
+                }
+                let (column, row) = (x[i] as u32, y[i] as u32);
+                (fx[i], fy[i]) = (x[i] - f64::from(column), y[i] - f64::from(row));
+                let bytes = image.from_pixel(column as usize, row as usize);
+                let pair = |start: usize| bytes.get(start..).and_then(|bytes| bytes.first_chunk()).unwrap_or(&[0; 2]);
+                [corners[0][i], corners[1][i]] = *pair(0);
+                [corners[2][i], corners[3][i]] = *pair(image.stride());
+            }
+            for i in 0..LANES {
+                let mix = |left: u8, right: u8| f64::from(left) + fx[i] * (f64::from(right) - f64::from(left));
+                let (above, below) = (mix(corners[0][i], corners[1][i]), mix(corners[2][i], corners[3][i]));
+                let difference = above + fy[i] * (below - above) - later;
+                sum[i] += difference;
+                squares[i] += difference * difference;
+            }
+        }
+        let n = self.pixels.len() as f64;
+        let mut variances = [f64::INFINITY; LANES];
+        for i in 0..LANES {
+            if is_seen[i] {
+                variances[i] = squares[i] / n - sum[i] * sum[i] / (n * n);
+            }
+        }
+        variances
     }
 }
 

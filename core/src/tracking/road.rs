@@ -78,7 +78,7 @@ impl Tracker<'_> {
         // A step of 1 m sees the road at 1 / length of its height.
         let (start_m, range) =
             if is_known { (predicted_m, COASTED_RANGE) } else { (1.0, [1.0 / longest_m, 1.0 / shortest_m]) };
-        let found = align_road(&pair(start_m), range, &self.mounting, settings).ok()?;
+        let found = align_road(self.simd, &pair(start_m), range, &self.mounting, settings).ok()?;
         let step_m = start_m * self.mounting.height_m / found.height_m;
         Some(RoadStep { step_m, n_pixels: found.n_pixels })
     }
@@ -214,7 +214,7 @@ impl Tracker<'_> {
             expected_normal: self.expected_normal,
             expected_height_m: self.mounting.height_m,
         };
-        align_road(&pair, range, &self.mounting, &self.settings.road).ok()
+        align_road(self.simd, &pair, range, &self.mounting, &self.settings.road).ok()
     }
 
     /// Compares what is known about the depths in the keyframe before the newest with its triangulated points.

@@ -71,7 +71,7 @@ fn scan_strip<K: Kernel>(
     mut found: impl FnMut(Corner),
 ) {
     let n_lanes = end - first + 2 * HALO;
-    let mut sums = BlockSums::NONE;
+    let mut sums = BlockSums::<LANES>::NONE;
     let mut middle_block = sums.block;
     let mut responses = [[0.0f32; LANES]; 3];
     let mut strongest = [(0.0f32, Corner::NONE); CELLS_PER_STRIP];
