@@ -2,6 +2,8 @@
 //!
 //! Every operation is an exact integer operation, so that both give the same bits.
 
+use super::doubles::DoublesKernel;
+
 /// Pixels of a row: a 21-px window rounded up to whole registers.
 pub(crate) const LANES: usize = 32;
 
@@ -61,7 +63,7 @@ impl<T: KernelTask, K: Kernel> pulp::WithSimd for Vectorized<T, K> {
 }
 
 /// Operations on rows of sixteen-bit lanes; all wrap on overflow, which the callers' bounds exclude.
-pub(crate) trait Kernel: Copy {
+pub(crate) trait Kernel: DoublesKernel {
     /// A row of [`LANES`] lanes.
     type Row: Copy;
     /// Sums of neighbouring pairs of lanes.

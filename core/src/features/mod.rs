@@ -4,6 +4,7 @@ pub mod affine;
 pub mod corners;
 pub mod descriptors;
 pub mod hamming;
+pub(crate) mod doubles;
 pub(crate) mod lanes;
 pub mod lk;
 mod pattern;

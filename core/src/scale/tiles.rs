@@ -4,7 +4,9 @@ use super::ground_plane::{RoadPair, RoadProblem, RoadSettings};
 use super::strip::{Strip, columns};
 use crate::camera::Mounting;
 use crate::features::SimdLevel;
+use crate::features::doubles::{Doubles, FOUR, all_of, blend};
 use crate::features::lanes::{Kernel, KernelTask};
+use crate::frame::ImageView;
 use nalgebra::{Matrix3, Vector3};
 
 /// Width and height of a tile in pixels of the voting level.
@@ -276,10 +278,6 @@ impl<'a, 's> Tile<'a, 's> {
     }
 }
 
-/// Planes that are tried together: four 64-bit numbers are a register.
-const LANES: usize = 4;
-type Four = [f64; LANES];
-
 struct Variances<'a, 's, 't> {
     tile: &'t Tile<'a, 's>,
     planes: &'t [Vector3<f64>],
@@ -288,15 +286,17 @@ struct Variances<'a, 's, 't> {
 
 impl KernelTask for Variances<'_, '_, '_> {
     #[inline(always)]
-    fn run<K: Kernel>(self, _kernel: K) {
+    fn run<K: Kernel>(self, kernel: K) {
         let Some(&last) = self.planes.last() else { return };
-        for (planes, variances) in self.planes.chunks(LANES).zip(self.variances.chunks_mut(LANES)) {
-            let mut together = [[0.0; LANES]; 3];
-            for i in 0..LANES {
+        for (planes, variances) in self.planes.chunks(FOUR).zip(self.variances.chunks_mut(FOUR)) {
+            let mut components = [[0.0; FOUR]; 3];
+            for i in 0..FOUR {
                 let plane = planes.get(i).unwrap_or(&last);
-                (together[0][i], together[1][i], together[2][i]) = (plane.x, plane.y, plane.z);
+                (components[0][i], components[1][i], components[2][i]) = (plane.x, plane.y, plane.z);
             }
-            let found = self.tile.variances_of_four(&together);
+            let [x, y, z] = components;
+            let four = [kernel.doubles(x), kernel.doubles(y), kernel.doubles(z)];
+            let found = self.tile.variances_of_four(kernel, four);
             variances.iter_mut().zip(found).take(planes.len()).for_each(|(slot, found)| *slot = found);
         }
     }
@@ -305,50 +305,65 @@ impl KernelTask for Variances<'_, '_, '_> {
 impl Tile<'_, '_> {
     /// As [`variances`](Self::variances), of four planes by their components.
     #[inline(always)]
-    fn variances_of_four(&self, planes: &[Four; 3]) -> Four {
-        let (c, t, image) = (&self.strip.camera, &self.translation, &self.strip.earlier);
-        let last = [image.width() as f64 - 1.0, image.height() as f64 - 1.0];
-        let (mut sum, mut squares, mut is_seen) = ([0.0; LANES], [0.0; LANES], [true; LANES]);
+    fn variances_of_four<K: Kernel>(&self, kernel: K, planes: [K::Doubles; 3]) -> [f64; FOUR] {
+        let (c, image) = (&self.strip.camera, &self.strip.earlier);
+        let (cx, cy, fx, fy) = (kernel.all(c.cx), kernel.all(c.cy), kernel.all(c.fx), kernel.all(c.fy));
+        let [tx, ty, tz] = all_of(kernel, &self.translation);
+        let half = kernel.all(0.5);
+        let (mut sum, mut squares, mut is_seen) = (kernel.all(0.0), kernel.all(0.0), [true; FOUR]);
         for TilePixel { ray, turned, later } in &self.pixels {
-            let (Some(later), true) = (later, is_seen != [false; LANES]) else { return [f64::INFINITY; LANES] };
-            let [mut x, mut y, mut fx, mut fy] = [[0.0; LANES]; 4];
-            for i in 0..LANES {
-                let shift = planes[0][i] * ray.x + planes[1][i] * ray.y + planes[2][i] * ray.z;
-                let z = turned.z + t.z * shift;
-                // Pixel i is centred at i + 0.5.
-                x[i] = c.fx * (turned.x + t.x * shift) / z + c.cx - 0.5;
-                y[i] = c.fy * (turned.y + t.y * shift) / z + c.cy - 0.5;
+            let &Some(later) = later else { return [f64::INFINITY; FOUR] };
+            let shift = planes[0] * kernel.all(ray.x) + planes[1] * kernel.all(ray.y) + planes[2] * kernel.all(ray.z);
+            let z = kernel.all(turned.z) + tz * shift;
+            // Pixel i is centred at i + 0.5.
+            let x = fx * (kernel.all(turned.x) + tx * shift) / z + cx - half;
+            let y = fy * (kernel.all(turned.y) + ty * shift) / z + cy - half;
+            let seen = interpolate(kernel, image, [x, y], &mut is_seen);
+            if is_seen == [false; FOUR] {
+                return [f64::INFINITY; FOUR];
             }
-            let mut corners = [[0u8; LANES]; 4];
-            for i in 0..LANES {
-                is_seen[i] &= x[i] >= 0.0 && y[i] >= 0.0 && x[i] < last[0] && y[i] < last[1];
-                if !is_seen[i] {
-                    continue;
-                }
-                let (column, row) = (x[i] as u32, y[i] as u32);
-                (fx[i], fy[i]) = (x[i] - f64::from(column), y[i] - f64::from(row));
-                let bytes = image.from_pixel(column as usize, row as usize);
-                let pair = |start: usize| bytes.get(start..).and_then(|bytes| bytes.first_chunk()).unwrap_or(&[0; 2]);
-                [corners[0][i], corners[1][i]] = *pair(0);
-                [corners[2][i], corners[3][i]] = *pair(image.stride());
-            }
-            for i in 0..LANES {
-                let mix = |left: u8, right: u8| f64::from(left) + fx[i] * (f64::from(right) - f64::from(left));
-                let (above, below) = (mix(corners[0][i], corners[1][i]), mix(corners[2][i], corners[3][i]));
-                let difference = above + fy[i] * (below - above) - later;
-                sum[i] += difference;
-                squares[i] += difference * difference;
-            }
+            let difference = seen - kernel.all(later);
+            sum = sum + difference;
+            squares = squares + difference * difference;
         }
         let n = self.pixels.len() as f64;
-        let mut variances = [f64::INFINITY; LANES];
-        for i in 0..LANES {
-            if is_seen[i] {
-                variances[i] = squares[i] / n - sum[i] * sum[i] / (n * n);
-            }
+        let mut variances = (squares / kernel.all(n) - sum * sum / kernel.all(n * n)).values();
+        for (variance, _) in variances.iter_mut().zip(is_seen).filter(|(_, is_seen)| !is_seen) {
+            *variance = f64::INFINITY;
         }
         variances
     }
+}
+
+/// Grey values between the pixels, whose centres have whole coordinates here; those outside are no longer seen.
+#[inline(always)]
+fn interpolate<K: Kernel>(
+    kernel: K,
+    image: &ImageView<'_>,
+    [x, y]: [K::Doubles; 2],
+    is_seen: &mut [bool; FOUR],
+) -> K::Doubles {
+    let last = [image.width() as f64 - 1.0, image.height() as f64 - 1.0];
+    let (x, y) = (x.values(), y.values());
+    let [mut fx, mut fy] = [[0.0; FOUR]; 2];
+    // Pairs of pixels of two rows, a byte each.
+    let mut rows = [[0u32; FOUR]; 2];
+    for i in 0..FOUR {
+        is_seen[i] &= x[i] >= 0.0 && y[i] >= 0.0 && x[i] < last[0] && y[i] < last[1];
+        if !is_seen[i] {
+            continue;
+        }
+        let (column, row) = (x[i] as u32, y[i] as u32);
+        (fx[i], fy[i]) = (x[i] - f64::from(column), y[i] - f64::from(row));
+        let bytes = image.from_pixel(column as usize, row as usize);
+        let pair = |start: usize| bytes.get(start..).and_then(|bytes| bytes.first_chunk()).unwrap_or(&[0; 2]);
+        rows[0][i] = u16::from_le_bytes(*pair(0)).into();
+        rows[1][i] = u16::from_le_bytes(*pair(image.stride())).into();
+    }
+    let (fx, fy) = (kernel.doubles(fx), kernel.doubles(fy));
+    let above = blend(kernel.bytes::<0>(rows[0]), kernel.bytes::<8>(rows[0]), fx);
+    let below = blend(kernel.bytes::<0>(rows[1]), kernel.bytes::<8>(rows[1]), fx);
+    blend(above, below, fy)
 }
 
 /// Variance of as many values as a tile has pixels; `None` when one is missing.
