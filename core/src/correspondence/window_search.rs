@@ -59,15 +59,16 @@ pub(super) fn search<K: Kernel>(
     let scale = (1u32 << level) as f32;
     let to_level = |px: [f32; 2]| px.map(|c| c / scale);
     let (source_px, start_px) = (to_level(expected.keyframe_px), to_level(expected.current_px));
-    let there =
-        Template::deformed(kernel, keyframe, &Placement { center_px: source_px, shape: inverse(expected.shape)? })?;
+    let mut there = Template::NONE;
+    there.take_deformed(kernel, keyframe, &Placement { center_px: source_px, shape: inverse(expected.shape)? })?;
     let contrast = there.contrast(kernel, current, start_px)?;
     let step_scale = (1.0 / contrast).clamp(1.0 / MOST_CONTRAST, MOST_CONTRAST);
     let target_px = descend(kernel, &there, current, start_px, step_scale, settings.max_steps, settings.converged_px)?;
     let correlation = there.correlation(kernel, current, target_px)?;
     let noise_px = there.sigma_px(kernel, correlation)? * CORRELATED;
 
-    let back = Template::deformed(kernel, current, &Placement { center_px: target_px, shape: expected.shape })?;
+    let mut back = Template::NONE;
+    back.take_deformed(kernel, current, &Placement { center_px: target_px, shape: expected.shape })?;
     // As far off as the way there began, so that it does not know the answer.
     let back_start_px = [0, 1].map(|k: usize| source_px[k] + target_px[k] - start_px[k]);
     let back_px =

@@ -255,8 +255,8 @@ fn place<K: Kernel>(
     let Some(inverse) = damped_inverse(&window.matrix, settings) else { return AffineVerdict::Collapsed };
     let mut found = *placement;
     let mut correlation = 0.0;
+    let mut values = [[0.0f32; LANES]; WINDOW];
     for _ in 0..settings.max_steps {
-        let mut values = [[0.0f32; LANES]; WINDOW];
         if sample(level, &found, &mut values).is_none() {
             return AffineVerdict::LeftImage;
         }

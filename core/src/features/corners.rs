@@ -208,8 +208,9 @@ fn strongest_in_cell<K: Kernel, const N: usize>(
     // Three rows of responses and of the sums that they came from; the middle one is searched for maxima.
     let mut responses = [[0.0f32; N]; 3];
     let mut middle_block = sums.block;
+    let mut rows = RowsAround::new(image, left, top + 1, n_lanes);
     for y in top + 1..end[1] + HALO - 1 {
-        sums.slide(y, product_row(image, left, y, n_lanes));
+        sums.slide(y, product_row(rows.slide(image, left, y, n_lanes)));
         responses = [responses[1], responses[2], response_row(&sums.block)];
         // The block ends with row y, so it is centred two rows above; the middle responses lie one row higher still.
         let center_y = y + 1 - HALO;
@@ -268,22 +269,50 @@ fn is_maximum<const N: usize>(responses: &[[f32; N]; 3], i: usize) -> bool {
     before.iter().all(|&other| response > other) && after.iter().all(|&other| response >= other)
 }
 
-/// Gradient products of row `y` from column `left` on, summed over [`BLOCK`] columns; lane i is centred on `left + i`.
+/// Grey values of a row, the one above and the one below, from a column on.
+struct RowsAround<const N: usize> {
+    rows: [[i16; N]; 3],
+}
+
+impl<const N: usize> RowsAround<N> {
+    /// Rows that [`slide`](Self::slide) to `y` first.
+    #[inline(always)]
+    fn new(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> Self {
+        Self { rows: [[0; N], load_row(image, left, y.wrapping_sub(1), n_lanes), load_row(image, left, y, n_lanes)] }
+    }
+
+    /// The rows around `y`, which follows the last one.
+    #[inline(always)]
+    fn slide(&mut self, image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> &[[i16; N]; 3] {
+        self.rows = [self.rows[1], self.rows[2], load_row(image, left, y + 1, n_lanes)];
+        &self.rows
+    }
+}
+
+/// Grey values of row `y` from column `left` on, `n_lanes` of them at least; 0 outside the image.
 #[inline(always)]
-fn product_row<const N: usize>(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> ProductRow<N> {
-    let load = |y: usize| {
-        let mut lanes = [0i16; N];
-        if let Some(pixels) = image.row(y).get(left..left + n_lanes) {
-            lanes.iter_mut().zip(pixels).for_each(|(lane, &p)| *lane = i16::from(p));
+fn load_row<const N: usize>(image: ImageView<'_>, left: usize, y: usize, n_lanes: usize) -> [i16; N] {
+    let mut lanes = [0i16; N];
+    let row = if y < image.height() { image.row(y).get(left..).unwrap_or(&[]) } else { &[] };
+    match row.first_chunk::<N>() {
+        Some(pixels) => {
+            for i in 0..N {
+                lanes[i] = i16::from(pixels[i]);
+            }
         }
-        lanes
-    };
-    let (above, here, below) = (load(y.wrapping_sub(1)), load(y), load(y + 1));
+        None => lanes.iter_mut().zip(row).take(n_lanes).for_each(|(lane, &pixel)| *lane = i16::from(pixel)),
+    }
+    lanes
+}
+
+/// Gradient products of the middle row, summed over [`BLOCK`] columns; lane i is centred on column i.
+#[inline(always)]
+fn product_row<const N: usize>([above, here, below]: &[[i16; N]; 3]) -> ProductRow<N> {
     let mut products = [[0i32; N]; 3];
     for i in 1..N - 1 {
         let dx = |row: &[i16; N]| row[i + 1] - row[i - 1];
         let dy = |i: usize| below[i] - above[i];
-        let gx = i32::from(dx(&above) + 2 * dx(&here) + dx(&below));
+        let gx = i32::from(dx(above) + 2 * dx(here) + dx(below));
         let gy = i32::from(dy(i - 1) + 2 * dy(i) + dy(i + 1));
         products[0][i] = gx * gx;
         products[1][i] = gx * gy;

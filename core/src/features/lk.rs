@@ -145,19 +145,21 @@ impl KernelTask for Search<'_, '_> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
         let Self { source, target, settings, flows, there_and_back } = self;
+        let mut template = Template::NONE;
         for flow in flows.iter_mut() {
             if flow.verdict != LkVerdict::Pending {
                 continue;
             }
             let expected = [flow.target_px[0] - flow.source_px[0], flow.target_px[1] - flow.source_px[1]];
-            let (target_px, verdict) = search(kernel, source, target, settings, flow.source_px, flow.target_px);
+            let (target_px, verdict) =
+                search(kernel, &mut template, source, target, settings, flow.source_px, flow.target_px);
             flow.verdict = verdict;
             if !verdict.is_found() {
                 continue;
             }
             if there_and_back {
                 let expected_back = [target_px[0] - expected[0], target_px[1] - expected[1]];
-                let (back_px, back) = search(kernel, target, source, settings, target_px, expected_back);
+                let (back_px, back) = search(kernel, &mut template, target, source, settings, target_px, expected_back);
                 let backward_px = match back.is_found() {
                     true => kernel.sqrt(squared_distance(back_px, flow.source_px).into()) as f32,
                     false => f32::INFINITY,
@@ -183,6 +185,7 @@ pub(crate) fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f32 {
 #[inline(always)]
 fn search<K: Kernel>(
     kernel: K,
+    template: &mut Template,
     source: &Pyramid<'_>,
     target: &Pyramid<'_>,
     settings: &LkSettings,
@@ -201,21 +204,25 @@ fn search<K: Kernel>(
         if from.width().min(from.height()) < WINDOW {
             continue;
         }
-        let Some(template) = Template::around(kernel, &from, source_px.map(|c| c * scale)) else { continue };
+        if template.take_around(kernel, &from, source_px.map(|c| c * scale)).is_none() {
+            continue;
+        }
         if template.min_eigenvalue(kernel) < settings.min_eigenvalue {
             continue;
         }
         let start = target_px.map(|c| c * scale);
-        let found = descend(kernel, &template, &to, start, 1.0, settings.max_steps, settings.coarse_converged_px);
+        let found = descend(kernel, template, &to, start, 1.0, settings.max_steps, settings.coarse_converged_px);
         target_px = found.map_or(target_px, |px| px.map(|c| c / scale));
     }
     let (Some(from), Some(to)) = (source.level(0), target.level(0)) else { return (target_px, LkVerdict::LeftImage) };
-    let Some(template) = Template::around(kernel, &from, source_px) else { return (target_px, LkVerdict::LeftImage) };
+    if template.take_around(kernel, &from, source_px).is_none() {
+        return (target_px, LkVerdict::LeftImage);
+    }
     let min_eigenvalue = template.min_eigenvalue(kernel);
     if min_eigenvalue < settings.min_eigenvalue {
         return (target_px, LkVerdict::Flat { min_eigenvalue });
     }
-    let found = descend(kernel, &template, &to, target_px, 1.0, settings.max_steps, settings.converged_px);
+    let found = descend(kernel, template, &to, target_px, 1.0, settings.max_steps, settings.converged_px);
     let px = found.unwrap_or(target_px);
     if !inside(target, px) {
         return (px, LkVerdict::LeftImage);

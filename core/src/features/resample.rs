@@ -35,26 +35,29 @@ pub(crate) fn sample<const COLUMNS: usize, const ROWS: usize>(
     let [step_x, step_y] = [a, c].map(|step| (step * ONE) as i32);
     for (r, row) in values.iter_mut().enumerate() {
         let wy = r as f32 - half;
-        let mut x = ((cx + b * wy - half * a) * ONE) as i32;
-        let mut y = ((cy + d * wy - half * c) * ONE) as i32;
-        let mut corners = [[0u8; COLUMNS]; 4];
-        let mut fractions = [[0i32; COLUMNS]; 2];
-        for i in 0..ROWS {
-            let start = (y >> FRACTION_BITS) as usize * stride + (x >> FRACTION_BITS) as usize;
-            let above: [u8; 2] = *bytes.get(start..)?.first_chunk()?;
-            let below: [u8; 2] = *bytes.get(start + stride..)?.first_chunk()?;
-            [corners[0][i], corners[1][i]] = above;
-            [corners[2][i], corners[3][i]] = below;
+        let x = ((cx + b * wy - half * a) * ONE) as i32;
+        let y = ((cy + d * wy - half * c) * ONE) as i32;
+        let (mut starts, mut fractions) = ([0i32; COLUMNS], [[0i32; COLUMNS]; 2]);
+        for i in 0..COLUMNS {
+            let x = x.wrapping_add(step_x.wrapping_mul(i as i32));
+            let y = y.wrapping_add(step_y.wrapping_mul(i as i32));
+            starts[i] = (y >> FRACTION_BITS).wrapping_mul(stride as i32).wrapping_add(x >> FRACTION_BITS);
             fractions[0][i] = x & ((1 << FRACTION_BITS) - 1);
             fractions[1][i] = y & ((1 << FRACTION_BITS) - 1);
-            x += step_x;
-            y += step_y;
+        }
+        // Two pixels of two rows, a byte each.
+        let mut corners = [0u32; COLUMNS];
+        for i in 0..ROWS {
+            let start = starts[i] as usize;
+            let rows = bytes.get(start..start + stride + 2)?;
+            let (&[a, b], &[c, d]) = (rows.first_chunk()?, rows.last_chunk()?);
+            corners[i] = u32::from_le_bytes([a, b, c, d]);
         }
         let mut blended = [0.0f32; COLUMNS];
         for i in 0..COLUMNS {
             let (fx, fy) = (fractions[0][i] as f32 / ONE, fractions[1][i] as f32 / ONE);
-            let (p00, p01) = (f32::from(corners[0][i]), f32::from(corners[1][i]));
-            let (p10, p11) = (f32::from(corners[2][i]), f32::from(corners[3][i]));
+            let pixel = |byte: u32| (corners[i] >> (8 * byte) & 0xff) as i32 as f32;
+            let (p00, p01, p10, p11) = (pixel(0), pixel(1), pixel(2), pixel(3));
             let (upper, lower) = (p00 + fx * (p01 - p00), p10 + fx * (p11 - p10));
             blended[i] = upper + fy * (lower - upper);
         }

@@ -98,6 +98,8 @@ fn split(coordinate: f32) -> Option<[i32; 2]> {
 /// # Source
 /// Baker & Matthews 2004, part 3 (projecting out appearance variation), with exact integer sums.
 pub(crate) struct Template {
+    /// Values with one more pixel on each side.
+    grown: [[i16; GROWN_LANES]; WINDOW + 2],
     value: Plane,
     gradient_x: Plane,
     gradient_y: Plane,
@@ -129,52 +131,63 @@ pub(crate) struct Comparison {
 }
 
 impl Template {
-    /// Window around `center_px` of a level; `None` when it leaves image and margin.
+    /// Room for a window: it is kept from one to the next, because clearing and moving it takes longer than filling it.
+    pub(crate) const NONE: Self = Self {
+        grown: [[0; GROWN_LANES]; WINDOW + 2],
+        value: [[0; LANES]; WINDOW],
+        gradient_x: [[0; LANES]; WINDOW],
+        gradient_y: [[0; LANES]; WINDOW],
+        half: [[0; LANES]; WINDOW],
+        statistics: Statistics::NONE,
+    };
+
+    /// Takes the window around `center_px` of a level; `None` when it leaves image and margin.
     #[inline(always)]
-    pub(crate) fn around<K: Kernel>(kernel: K, level: &PaddedImage<'_>, center_px: [f32; 2]) -> Option<Self> {
+    pub(crate) fn take_around<K: Kernel>(
+        &mut self,
+        kernel: K,
+        level: &PaddedImage<'_>,
+        center_px: [f32; 2],
+    ) -> Option<()> {
         const REACH: f32 = (WINDOW / 2 + 1) as f32;
         let rows = Rows::around(kernel, level, center_px, REACH)?;
-        let mut grown = [[0i16; GROWN_LANES]; WINDOW + 2];
         let mut here = rows.columns(kernel, 0)?;
-        for (r, grown) in grown.iter_mut().enumerate() {
+        for (r, grown) in self.grown.iter_mut().enumerate() {
             let below = rows.columns(kernel, r + 1)?;
             kernel.store(kernel.blend(here, below, rows.weight_y), grown.first_chunk_mut()?);
             here = below;
         }
-        Self::from_grown(kernel, &grown)
+        self.take_grown(kernel)
     }
 
-    /// Window around the centre of `placement` whose offsets are deformed by its shape; `None` when it leaves image and
-    /// margin.
+    /// Takes the window around the centre of `placement` whose offsets are deformed by its shape; `None` when it leaves
+    /// image and margin.
     #[inline(always)]
-    pub(crate) fn deformed<K: Kernel>(kernel: K, level: &PaddedImage<'_>, placement: &Placement) -> Option<Self> {
+    pub(crate) fn take_deformed<K: Kernel>(
+        &mut self,
+        kernel: K,
+        level: &PaddedImage<'_>,
+        placement: &Placement,
+    ) -> Option<()> {
         let mut values = [[0.0f32; GROWN_LANES]; WINDOW + 2];
         sample(level, placement, &mut values)?;
-        let mut grown = [[0i16; GROWN_LANES]; WINDOW + 2];
-        for (grown, values) in grown.iter_mut().zip(&values) {
+        for (grown, values) in self.grown.iter_mut().zip(&values) {
             for i in 0..GROWN_LANES {
                 grown[i] = (values[i] * (1u32 << GRAY_BITS) as f32) as i16;
             }
         }
-        Self::from_grown(kernel, &grown)
+        self.take_grown(kernel)
     }
 
     /// Values and gradients from the window with one more pixel on each side.
     #[inline(always)]
-    fn from_grown<K: Kernel>(kernel: K, grown: &[[i16; GROWN_LANES]; WINDOW + 2]) -> Option<Self> {
-        let mut template = Self {
-            value: [[0; LANES]; WINDOW],
-            gradient_x: [[0; LANES]; WINDOW],
-            gradient_y: [[0; LANES]; WINDOW],
-            half: [[0; LANES]; WINDOW],
-            statistics: Statistics::NONE,
-        };
+    fn take_grown<K: Kernel>(&mut self, kernel: K) -> Option<()> {
         let ones = kernel.load(&INSIDE);
         let inside = kernel.subtract(kernel.splat(0), ones);
         let mut total = kernel.zero();
         for r in 0..WINDOW {
             let at = |row: usize, column: usize| -> Option<K::Row> {
-                Some(kernel.load(grown.get(r + row)?.get(column..)?.first_chunk()?))
+                Some(kernel.load(self.grown.get(r + row)?.get(column..)?.first_chunk()?))
             };
             let dx = |row| Some(kernel.subtract(at(row, 2)?, at(row, 0)?));
             let dy = |column| Some(kernel.subtract(at(2, column)?, at(0, column)?));
@@ -183,18 +196,18 @@ impl Template {
             let sobel_y = smooth(dy(0)?, dy(1)?, dy(2)?);
             let value = at(1, 1)?;
             total = kernel.add_products(total, value, ones);
-            kernel.store(kernel.and(value, inside), &mut template.value[r]);
-            kernel.store(kernel.and(kernel.shift_right::<SOBEL_SHIFT>(sobel_x), inside), &mut template.gradient_x[r]);
-            kernel.store(kernel.and(kernel.shift_right::<SOBEL_SHIFT>(sobel_y), inside), &mut template.gradient_y[r]);
+            kernel.store(kernel.and(value, inside), &mut self.value[r]);
+            kernel.store(kernel.and(kernel.shift_right::<SOBEL_SHIFT>(sobel_x), inside), &mut self.gradient_x[r]);
+            kernel.store(kernel.and(kernel.shift_right::<SOBEL_SHIFT>(sobel_y), inside), &mut self.gradient_y[r]);
         }
         let n_pixels = (WINDOW * WINDOW) as i64;
         let mean = kernel.splat(((kernel.total(total) + n_pixels / 2) / n_pixels) as i16);
-        for (value, half) in template.value.iter().zip(&mut template.half) {
+        for (value, half) in self.value.iter().zip(&mut self.half) {
             let centered = kernel.subtract(kernel.load(value), mean);
             kernel.store(kernel.and(kernel.shift_right::<1>(centered), inside), half);
         }
-        template.measure(kernel);
-        Some(template)
+        self.measure(kernel);
+        Some(())
     }
 
     #[inline(always)]

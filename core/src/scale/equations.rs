@@ -1,7 +1,7 @@
 //! The normal equations of the road's alignment, four pixels at a time.
 
-use super::ground_plane::{RoadPair, RoadSettings};
-use super::strip::{Alignment, Normal5, Strip, Vector5, columns};
+use super::ground_plane::RoadPair;
+use super::strip::{Alignment, Normal5, Strip, Vector5};
 use super::tiles::RoadMask;
 use crate::features::SimdLevel;
 use crate::features::doubles::{Doubles, FOUR, all_of, blend};
@@ -28,8 +28,6 @@ pub(super) struct RoadView<'a, 'm, 's> {
     pub(super) strip: &'s Strip<'a>,
     pub(super) pair: &'s RoadPair<'a, 'm>,
     pub(super) mask: &'s RoadMask,
-    pub(super) mounting_height_m: f64,
-    pub(super) settings: &'s RoadSettings,
 }
 
 /// Normal equations (lower triangle) over the strip's pixels that show the road. An infinite `noise` weighs all pixels alike.
@@ -94,14 +92,12 @@ struct Scan<'a, 'm, 's> {
 impl KernelTask for Scan<'_, '_, '_> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let RoadView { strip, pair, mask, mounting_height_m, settings } = *self.view;
+        let RoadView { strip, mask, .. } = *self.view;
         let mut groups = [kernel.all(0.0); N_SUMS / FOUR];
         let mut n_pixels = 0;
         for row in 0..strip.later.height() {
             let y = strip.y_z1(row);
-            let Some((first, end)) = columns(pair, mounting_height_m, settings, &strip.camera, y) else {
-                continue;
-            };
+            let Some((first, end)) = strip.columns(y) else { continue };
             let excluded = mask.row(y);
             for column in (first..end).step_by(FOUR) {
                 let Some((is_used, terms)) = self.terms(kernel, [column, row], end, excluded) else { continue };
@@ -180,7 +176,7 @@ impl Scan<'_, '_, '_> {
         // that knew only one of them would correlate its noise with the gradient and shorten the step.
         let change = still - later;
         let change2 = (change * (change - residual)).at_least(zero);
-        let standing_grey = self.view.settings.standing_grey;
+        let standing_grey = self.view.strip.settings.standing_grey;
         tukey * (change2 + epsilon) / (change2 + kernel.all(standing_grey * standing_grey) + epsilon)
     }
 }

@@ -147,18 +147,18 @@ impl core::error::Error for RoadProblem {}
 /// # Source
 /// Faugeras & Lustman 1988 (plane-induced homography); Baker & Matthews 2004 (alignment). Own derivation of the
 /// parametrisation and the election.
-pub fn align_road(
+pub fn align_road<'a>(
     simd: SimdLevel,
-    pair: &RoadPair<'_, '_>,
+    pair: &RoadPair<'a, '_>,
     range: [f64; 2],
     mounting: &Mounting,
-    settings: &RoadSettings,
+    settings: &'a RoadSettings,
 ) -> Result<RoadAlignment, RoadProblem> {
     require_flow(pair, range[0], mounting, settings)?;
     let finest = finest_level(pair, settings);
     let nothing = RoadProblem::TooFewPixels { found: 0, needed: settings.min_pixels };
-    let working = Strip::new(pair, finest).ok_or(nothing)?;
-    let election = elect(simd, &working, pair, mounting, settings, range)?;
+    let working = Strip::new(pair, finest, mounting, settings).ok_or(nothing)?;
+    let election = elect(simd, &working, pair, range)?;
     if election.margin < settings.min_margin {
         return Err(RoadProblem::Ambiguous { margin: election.margin });
     }
@@ -166,7 +166,7 @@ pub fn align_road(
     let mut state = Alignment::at(pair.expected_normal / (pair.expected_height_m * election.height_ratio));
     let mut measured = None;
     for level in (finest..(finest + 2).min(pair.later.n_levels())).rev() {
-        let Some(strip) = Strip::new(pair, level) else { continue };
+        let Some(strip) = Strip::new(pair, level, mounting, settings) else { continue };
         let before = state;
         match state.iterate(simd, &strip, pair, &election.mask, mounting, settings) {
             Ok(found) => measured = Some(found),

@@ -21,10 +21,20 @@ pub(super) struct Strip<'a> {
     pub(super) later: ImageView<'a>,
     pub(super) earlier: ImageView<'a>,
     pub(super) camera: Pinhole,
+    mounting_height_m: f64,
+    normal: Vector3<f64>,
+    /// Of the vehicle's way, 1/m.
+    curvature: f64,
+    pub(super) settings: &'a RoadSettings,
 }
 
 impl<'a> Strip<'a> {
-    pub(super) fn new(pair: &RoadPair<'a, '_>, level: usize) -> Option<Self> {
+    pub(super) fn new(
+        pair: &RoadPair<'a, '_>,
+        level: usize,
+        mounting: &Mounting,
+        settings: &'a RoadSettings,
+    ) -> Option<Self> {
         let (later, earlier) = (pair.later.level(level)?.image(), pair.earlier.level(level)?.image());
         // Levels drop odd columns, so the factor is exactly a power of two and not the ratio of the widths.
         let factor = 1.0 / f64::from(1u32 << level);
@@ -37,7 +47,26 @@ impl<'a> Strip<'a> {
             cx: c.cx * factor,
             cy: c.cy * factor,
         };
-        Some(Self { later, earlier, camera })
+        let RoadPair { earlier_from_later, expected_normal: normal, .. } = *pair;
+        // The vehicle goes on along the circle that it came on: x = curvature z^2 / 2.
+        let curvature = earlier_from_later.rotation.scaled_axis().y / earlier_from_later.translation.vector.norm();
+        Some(Self { later, earlier, camera, mounting_height_m: mounting.height_m, normal, curvature, settings })
+    }
+
+    /// Columns of a row that see the strip, which bends with the motion; `None` for rows above it or too near.
+    pub(super) fn columns(&self, y_z1: f64) -> Option<(usize, usize)> {
+        let Self { camera, normal, settings, .. } = self;
+        let depth_m = self.mounting_height_m / (normal.y * y_z1 + normal.z);
+        if !(depth_m >= settings.distance_m[0] && depth_m <= settings.distance_m[1]) {
+            return None;
+        }
+        let center_m = (0.5 * self.curvature * depth_m * depth_m).clamp(-depth_m, depth_m) * settings.bend;
+        let (center_px, half_px) =
+            (camera.cx + camera.fx * center_m / depth_m, camera.fx * settings.half_width_m / depth_m);
+        let width_px = f64::from(camera.width);
+        let first = libm::ceil(center_px - half_px - 0.5).clamp(0.0, width_px) as usize;
+        let end = libm::ceil(center_px + half_px - 0.5).clamp(0.0, width_px) as usize;
+        (first < end).then_some((first, end))
     }
 
     /// Height of a row's centre on the plane z = 1.
@@ -85,7 +114,7 @@ impl Alignment {
         let mut noise = f64::INFINITY;
         let mut last = None;
         for _ in 0..settings.max_iterations {
-            let view = RoadView { strip, pair, mask, mounting_height_m: mounting.height_m, settings };
+            let view = RoadView { strip, pair, mask };
             let (mut hessian, mut gradient, fit) = equations(simd, &view, self, noise);
             if fit.n_pixels < settings.min_pixels {
                 return Err(RoadProblem::TooFewPixels { found: fit.n_pixels, needed: settings.min_pixels });
@@ -134,29 +163,4 @@ impl Alignment {
             }
         }
     }
-}
-
-/// Columns of a row that see the strip, which bends with the motion; `None` for rows above it or too near.
-pub(super) fn columns(
-    pair: &RoadPair<'_, '_>,
-    height_m: f64,
-    settings: &RoadSettings,
-    camera: &Pinhole,
-    y_z1: f64,
-) -> Option<(usize, usize)> {
-    let normal = pair.expected_normal;
-    let depth_m = height_m / (normal.y * y_z1 + normal.z);
-    if !(depth_m >= settings.distance_m[0] && depth_m <= settings.distance_m[1]) {
-        return None;
-    }
-    // The vehicle goes on along the circle that it came on: x = curvature z^2 / 2.
-    let curvature =
-        pair.earlier_from_later.rotation.scaled_axis().y / pair.earlier_from_later.translation.vector.norm();
-    let center_m = (0.5 * curvature * depth_m * depth_m).clamp(-depth_m, depth_m) * settings.bend;
-    let (center_px, half_px) =
-        (camera.cx + camera.fx * center_m / depth_m, camera.fx * settings.half_width_m / depth_m);
-    let width_px = f64::from(camera.width);
-    let first = libm::ceil(center_px - half_px - 0.5).clamp(0.0, width_px) as usize;
-    let end = libm::ceil(center_px + half_px - 0.5).clamp(0.0, width_px) as usize;
-    (first < end).then_some((first, end))
 }

@@ -1,8 +1,7 @@
 //! Which parts of the strip show the road: every tile votes for the height at which its two images agree.
 
-use super::ground_plane::{RoadPair, RoadProblem, RoadSettings};
-use super::strip::{Strip, columns};
-use crate::camera::Mounting;
+use super::ground_plane::{RoadPair, RoadProblem};
+use super::strip::Strip;
 use crate::features::SimdLevel;
 use crate::features::doubles::{Doubles, FOUR, all_of, blend};
 use crate::features::lanes::{Kernel, KernelTask};
@@ -110,8 +109,6 @@ pub(super) fn elect(
     simd: SimdLevel,
     strip: &Strip<'_>,
     pair: &RoadPair<'_, '_>,
-    mounting: &Mounting,
-    settings: &RoadSettings,
     range: [f64; 2],
 ) -> Result<Election, RoadProblem> {
     let lowest = range[0] / MARGIN;
@@ -126,7 +123,7 @@ pub(super) fn elect(
     let planes = planes.get(..n_heights).unwrap_or(&[]);
     let mut least_of = Leasts([[NO_VOTE; MAX_TILES[0]]; MAX_TILES[1]]);
     let (mut opinion, mut n_votes) = ([0.0; MAX_HEIGHTS], 0);
-    let tiles = || tiles(strip, pair, mounting, settings);
+    let tiles = || tiles(strip, pair);
     for (place, tile) in tiles() {
         if let Some(least) = vote(simd, &tile, planes, &mut opinion) {
             least_of.note(place, least);
@@ -134,13 +131,13 @@ pub(super) fn elect(
         }
     }
     let n_pixels = n_votes * TILE_PX[0] * TILE_PX[1];
-    if n_pixels < settings.min_pixels {
-        return Err(RoadProblem::TooFewPixels { found: n_pixels, needed: settings.min_pixels });
+    if n_pixels < strip.settings.min_pixels {
+        return Err(RoadProblem::TooFewPixels { found: n_pixels, needed: strip.settings.min_pixels });
     }
     let (elected, first, second) =
         peaks(opinion.get(..n_heights).unwrap_or(&[])).ok_or(RoadProblem::Ambiguous { margin: 0.0 })?;
     let near = planes.get(elected - 1..elected + 2).unwrap_or(&[]);
-    let first_row_z1 = strip.y_z1(first_row(strip, pair, mounting, settings)) - 0.5 / strip.camera.fy;
+    let first_row_z1 = strip.y_z1(first_row(strip)) - 0.5 / strip.camera.fy;
     let mut mask = RoadMask::of_everything(strip, first_row_z1);
     let mut n_agreeing = n_votes;
     for (place, tile) in tiles() {
@@ -176,25 +173,20 @@ impl Leasts {
 }
 
 /// The first row of the strip; the image's height when there is none.
-fn first_row(strip: &Strip<'_>, pair: &RoadPair<'_, '_>, mounting: &Mounting, settings: &RoadSettings) -> usize {
+fn first_row(strip: &Strip<'_>) -> usize {
     let height = strip.later.height();
-    let is_road = |row: &usize| columns(pair, mounting.height_m, settings, &strip.camera, strip.y_z1(*row)).is_some();
+    let is_road = |row: &usize| strip.columns(strip.y_z1(*row)).is_some();
     (0..height).find(is_road).unwrap_or(height)
 }
 
 /// The tiles of the strip, with their columns and rows among the tiles.
-fn tiles<'a, 's>(
-    strip: &'s Strip<'a>,
-    pair: &'s RoadPair<'_, '_>,
-    mounting: &'s Mounting,
-    settings: &'s RoadSettings,
-) -> impl Iterator<Item = ([usize; 2], Tile<'a, 's>)> {
+fn tiles<'a, 's>(strip: &'s Strip<'a>, pair: &'s RoadPair<'_, '_>) -> impl Iterator<Item = ([usize; 2], Tile<'a, 's>)> {
     let rotation = *pair.earlier_from_later.rotation.to_rotation_matrix().matrix();
     let translation = pair.earlier_from_later.translation.vector;
-    let first_row = first_row(strip, pair, mounting, settings);
+    let first_row = first_row(strip);
     (0..MAX_TILES[1]).flat_map(move |tile_row| {
         let row = first_row + tile_row * TILE_PX[1];
-        let ends = columns(pair, mounting.height_m, settings, &strip.camera, strip.y_z1(row));
+        let ends = strip.columns(strip.y_z1(row));
         let (first, end) = ends.map_or((0, 0), |(first, end)| (first.div_ceil(TILE_PX[0]), end / TILE_PX[0]));
         (first..end.min(MAX_TILES[0])).map(move |tile_column| {
             let corner = [tile_column * TILE_PX[0], row];

@@ -1,8 +1,8 @@
 //! Corners of a whole image, one per small cell, found in one pass.
 
 use super::{
-    BlockSums, Corner, CornerReport, CornerSettings, HALO, LANES, insert, is_maximum, min_eigenvalue, product_row,
-    response_row,
+    BlockSums, Corner, CornerReport, CornerSettings, HALO, LANES, RowsAround, insert, is_maximum, min_eigenvalue,
+    product_row, response_row,
 };
 use crate::features::lanes::{Kernel, KernelTask, SimdLevel};
 use crate::frame::ImageView;
@@ -75,8 +75,9 @@ fn scan_strip<K: Kernel>(
     let mut middle_block = sums.block;
     let mut responses = [[0.0f32; LANES]; 3];
     let mut strongest = [(0.0f32, Corner::NONE); CELLS_PER_STRIP];
+    let mut rows = RowsAround::new(image, first - HALO, top + 1 - HALO, n_lanes);
     for y in top + 1 - HALO..bottom + HALO - 1 {
-        sums.slide(y, product_row(image, first - HALO, y, n_lanes));
+        sums.slide(y, product_row(rows.slide(image, first - HALO, y, n_lanes)));
         responses = [responses[1], responses[2], response_row(&sums.block)];
         // The block ends with row y, so it is centred two rows above; the middle responses lie one row higher still.
         let center_y = y + 1 - HALO;
