@@ -5,7 +5,7 @@ use crate::conventions::Rigid;
 use crate::keyframe::{Column, KeyframeWindow, Landmark, WINDOW};
 use crate::math::se3;
 use crate::math::se3::skew;
-use nalgebra::{Matrix2x3, Matrix2x6, Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix6, Rotation3, Vector2, Vector3, Vector6};
 
 /// Below this information about its depth a landmark's depth is held where it is.
 const MIN_DEPTH_INFORMATION: f64 = 1e-9;
@@ -14,6 +14,8 @@ const MIN_DEPTH_INFORMATION: f64 = 1e-9;
 #[derive(Clone)]
 pub(super) struct Graph {
     camera_from_world: [Option<Rigid>; WINDOW],
+    /// Motions between the columns: target, then host.
+    target_from_host: [[Option<Rigid>; WINDOW]; WINDOW],
     /// Place of each column among the unknowns.
     free: [Option<usize>; WINDOW],
     n_free: usize,
@@ -21,7 +23,12 @@ pub(super) struct Graph {
 
 impl Graph {
     pub(super) fn new(window: &KeyframeWindow, n_fixed: usize) -> Self {
-        let mut graph = Self { camera_from_world: [None; WINDOW], free: [None; WINDOW], n_free: 0 };
+        let mut graph = Self {
+            camera_from_world: [None; WINDOW],
+            target_from_host: [[None; WINDOW]; WINDOW],
+            free: [None; WINDOW],
+            n_free: 0,
+        };
         for (age, column) in window.columns_by_age().enumerate() {
             graph.camera_from_world[column] = window.at(column).map(|k| k.camera_from_world);
             if age >= n_fixed {
@@ -29,7 +36,18 @@ impl Graph {
                 graph.n_free += 1;
             }
         }
+        graph.relate();
         graph
+    }
+
+    /// Renews the motions between the columns.
+    fn relate(&mut self) {
+        let world_from_host = self.camera_from_world.map(|pose| pose.map(|p| p.inverse()));
+        for (row, pose) in self.target_from_host.iter_mut().zip(&self.camera_from_world) {
+            for (motion, world_from_host) in row.iter_mut().zip(&world_from_host) {
+                *motion = pose.as_ref().zip(world_from_host.as_ref()).map(|(pose, inverse)| pose * inverse);
+            }
+        }
     }
 
     pub(super) fn n_free(&self) -> usize {
@@ -53,18 +71,36 @@ impl Graph {
                 pose.rotation.renormalize();
             }
         }
+        self.relate();
+    }
+
+    /// Keyframes other than its host that see a landmark, with their motion from the host and what they see.
+    fn views<'a>(&'a self, landmark: &'a Landmark) -> impl Iterator<Item = (Column, &'a Rigid, Vector2<f64>)> + 'a {
+        let host = landmark.host();
+        landmark.columns().filter(move |&c| c != host).filter_map(move |column| {
+            let target_from_host = self.target_from_host.get(column)?.get(host)?.as_ref()?;
+            Some((column, target_from_host, landmark.seen_by(column)?))
+        })
     }
 
     /// Sightings of a landmark by other keyframes than its host.
     fn sightings<'a>(&'a self, landmark: &'a Landmark) -> impl Iterator<Item = (Column, Sighting)> + 'a {
-        let ray = landmark.host_ray();
-        let world_from_host = self.pose(landmark.host()).map(|p| p.inverse());
-        landmark.columns().filter(move |&c| c != landmark.host()).filter_map(move |column| {
-            let target_from_host = self.pose(column)? * world_from_host?;
-            let seen = landmark.seen_by(column)?;
-            Some((column, Sighting::new(&target_from_host, &ray, landmark.inverse_depth, &seen)?))
+        let (ray, inverse_depth) = (landmark.host_ray(), landmark.inverse_depth);
+        self.views(landmark).filter_map(move |(column, target_from_host, seen)| {
+            Some((column, Sighting::new(target_from_host, &ray, inverse_depth, &seen)?))
         })
     }
+}
+
+/// A host's ray in a target camera, scaled by the inverse depth; `None` behind it.
+fn in_target(
+    target_from_host: &Rigid,
+    rotation: &Rotation3<f64>,
+    ray: &Vector3<f64>,
+    inverse_depth: f64,
+) -> Option<Vector3<f64>> {
+    let q = rotation * ray + target_from_host.translation.vector * inverse_depth;
+    (q.z > 0.0).then_some(q)
 }
 
 /// One reprojection with its derivatives.
@@ -85,10 +121,7 @@ impl Sighting {
     ) -> Option<Self> {
         let t = target_from_host.translation.vector;
         let rotation = target_from_host.rotation.to_rotation_matrix();
-        let q = rotation * ray + t * inverse_depth;
-        if q.z.is_nan() || q.z <= 0.0 {
-            return None;
-        }
+        let q = in_target(target_from_host, &rotation, ray, inverse_depth)?;
         let p = q.xy() / q.z;
         let by_q = Matrix2x3::new(1.0, 0.0, -p.x, 0.0, 1.0, -p.y) / q.z;
         let by_q_and_rotation = by_q * rotation.matrix();
@@ -99,17 +132,17 @@ impl Sighting {
         by_host.fixed_columns_mut::<3>(3).copy_from(&(by_q_and_rotation * -inverse_depth));
         Some(Self { residual: p - seen_z1, by_host, by_target, by_depth: by_q * t })
     }
+}
 
-    /// Huber's weight over the variance, and the robust cost.
-    fn weight_and_cost(&self, settings: &BundleSettings) -> (f64, f64) {
-        let sigmas = self.residual.norm() / settings.noise_z1;
-        let precision = 1.0 / (settings.noise_z1 * settings.noise_z1);
-        let width = settings.huber_sigmas;
-        if sigmas <= width {
-            (precision, sigmas * sigmas)
-        } else {
-            (precision * width / sigmas, width * (2.0 * sigmas - width))
-        }
+/// Huber's weight over the variance, and the robust cost.
+fn weight_and_cost(residual: &Vector2<f64>, settings: &BundleSettings) -> (f64, f64) {
+    let sigmas = residual.norm() / settings.noise_z1;
+    let precision = 1.0 / (settings.noise_z1 * settings.noise_z1);
+    let width = settings.huber_sigmas;
+    if sigmas <= width {
+        (precision, sigmas * sigmas)
+    } else {
+        (precision * width / sigmas, width * (2.0 * sigmas - width))
     }
 }
 
@@ -169,7 +202,7 @@ pub(super) fn linearize(
         let host = landmark.host();
         let mut row = DepthRow::new();
         for (target, s) in graph.sightings(landmark) {
-            let weight = s.weight_and_cost(settings).0;
+            let weight = weight_and_cost(&s.residual, settings).0;
             row.add(graph, host, target, &s, weight);
             let (host_place, target_place) = (graph.free[host], graph.free[target]);
             if let Some(h) = host_place {
@@ -206,7 +239,7 @@ fn eliminate(row: &DepthRow, damping: f64, system: &mut ReducedSystem) {
 fn depth_row(graph: &Graph, landmark: &Landmark, settings: &BundleSettings) -> DepthRow {
     let mut row = DepthRow::new();
     for (target, s) in graph.sightings(landmark) {
-        row.add(graph, landmark.host(), target, &s, s.weight_and_cost(settings).0);
+        row.add(graph, landmark.host(), target, &s, weight_and_cost(&s.residual, settings).0);
     }
     row
 }
@@ -240,8 +273,11 @@ pub(super) fn total_cost(graph: &Graph, landmarks: &[Landmark], settings: &Bundl
     let mut cost = 0.0;
     for landmark in landmarks.iter().filter(|l| is_evidence(l, settings)) {
         let mut n_in_front = 1;
-        for (_, s) in graph.sightings(landmark) {
-            cost += s.weight_and_cost(settings).1;
+        let ray = landmark.host_ray();
+        for (_, target_from_host, seen) in graph.views(landmark) {
+            let rotation = target_from_host.rotation.to_rotation_matrix();
+            let Some(q) = in_target(target_from_host, &rotation, &ray, landmark.inverse_depth) else { continue };
+            cost += weight_and_cost(&(q.xy() / q.z - seen), settings).1;
             n_in_front += 1;
         }
         cost += behind * f64::from(landmark.n_sightings().saturating_sub(n_in_front));

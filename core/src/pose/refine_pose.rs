@@ -49,15 +49,13 @@ impl LandmarkMatch {
     /// Squared reprojection error in units of its variance (measurement plus the effect of the depth's
     /// uncertainty along the epipolar line); infinite behind the camera.
     pub fn squared_sigmas(&self, camera_from_reference: &Rigid, noise_z1: f64) -> f64 {
-        self.whitened(camera_from_reference, noise_z1).map_or(f64::INFINITY, |(r, _)| r.norm_squared())
+        self.predict(camera_from_reference, noise_z1).map_or(f64::INFINITY, |p| p.whiten(p.residual).norm_squared())
     }
 
-    /// Whitened residual and its derivative by the left increment.
-    fn whitened(&self, camera_from_reference: &Rigid, noise_z1: f64) -> Option<(Vector2<f64>, Matrix2x6<f64>)> {
+    fn predict(&self, camera_from_reference: &Rigid, noise_z1: f64) -> Option<Prediction> {
         let q = self.in_camera(camera_from_reference)?;
         let inverse_z = 1.0 / q.z;
         let predicted = q.xy() * inverse_z;
-        let r = predicted - self.seen_z1;
         let t = camera_from_reference.translation.vector;
         // Moves along this line when the inverse depth changes by one standard deviation.
         let along = (t.xy() - predicted * t.z) * (inverse_z * self.inverse_depth_sigma);
@@ -65,8 +63,14 @@ impl LandmarkMatch {
         // Covariance noise^2 I + along along^T, so its inverse square root shrinks the part along the line only.
         let shrink = noise_z1 / libm::sqrt(noise_z1 * noise_z1 + spread * spread) - 1.0;
         let axis = if spread > 0.0 { along / spread } else { Vector2::zeros() };
-        let whiten = |v: Vector2<f64>| (v + axis * (shrink * axis.dot(&v))) / noise_z1;
-        let (x, y, w) = (predicted.x, predicted.y, self.inverse_depth * inverse_z);
+        Some(Prediction { predicted, residual: predicted - self.seen_z1, inverse_z, axis, shrink, noise_z1 })
+    }
+
+    /// Whitened residual and its derivative by the left increment.
+    fn whitened(&self, camera_from_reference: &Rigid, noise_z1: f64) -> Option<(Vector2<f64>, Matrix2x6<f64>)> {
+        let prediction = self.predict(camera_from_reference, noise_z1)?;
+        let (x, y) = (prediction.predicted.x, prediction.predicted.y);
+        let w = self.inverse_depth * prediction.inverse_z;
         let columns = [
             Vector2::new(-x * y, -(1.0 + y * y)),
             Vector2::new(1.0 + x * x, x * y),
@@ -75,7 +79,27 @@ impl LandmarkMatch {
             Vector2::new(0.0, w),
             Vector2::new(-x * w, -y * w),
         ];
-        Some((whiten(r), Matrix2x6::from_columns(&columns.map(whiten))))
+        let derivative = Matrix2x6::from_columns(&columns.map(|column| prediction.whiten(column)));
+        Some((prediction.whiten(prediction.residual), derivative))
+    }
+}
+
+/// Where a landmark should be seen, on the plane z = 1, and how far off it may be.
+struct Prediction {
+    predicted: Vector2<f64>,
+    residual: Vector2<f64>,
+    inverse_z: f64,
+    /// The epipolar line, along which the depth's uncertainty spreads it.
+    axis: Vector2<f64>,
+    /// What is added to 1 along that line to whiten.
+    shrink: f64,
+    noise_z1: f64,
+}
+
+impl Prediction {
+    #[inline]
+    fn whiten(&self, v: Vector2<f64>) -> Vector2<f64> {
+        (v + self.axis * (self.shrink * self.axis.dot(&v))) / self.noise_z1
     }
 }
 
