@@ -146,6 +146,7 @@ fn detect_in_cells<K: Kernel>(
             }
         }
         let Some((top, bottom)) = overlap(row * side, side, border, image.height()) else { continue };
+        let nearby = Nearby::new(existing_px.clone(), [top, bottom], settings.min_distance_px);
         for (column, _) in occupied.iter().enumerate().take(columns).filter(|(_, occupied)| !**occupied) {
             let Some((left, right)) = overlap(column * side, side, border, image.width()) else { continue };
             report.n_empty_cells += 1;
@@ -157,7 +158,7 @@ fn detect_in_cells<K: Kernel>(
             let far_from = |pixel, other| squared_distance(pixel, other) >= nearest_px2;
             let accepted = candidates.iter().find(|corner| {
                 corner.min_eigenvalue >= settings.min_eigenvalue.max(f32::MIN_POSITIVE)
-                    && existing_px.clone().all(|px| !px.iter().all(|c| c.is_finite()) || far_from(corner.pixel, px))
+                    && nearby.all(existing_px.clone(), |px| far_from(corner.pixel, px))
                     && corners.iter().take(report.n_found).all(|other| far_from(corner.pixel, other.pixel))
             });
             if let Some(corner) = accepted {
@@ -169,6 +170,35 @@ fn detect_in_cells<K: Kernel>(
     let cell_of = |corner: &Corner| (corner.pixel[1] as usize / side, corner.pixel[0] as usize / side);
     found.sort_unstable_by_key(cell_of);
     report
+}
+
+/// Points near a row of cells, as many as there is room for.
+struct Nearby {
+    points_px: heapless::Vec<[f32; 2], MAX_NEARBY>,
+    is_complete: bool,
+}
+
+const MAX_NEARBY: usize = 256;
+
+impl Nearby {
+    /// Those of `existing_px` that can lie within `distance_px` of rows `top..bottom`.
+    fn new(existing_px: impl Iterator<Item = [f32; 2]>, [top, bottom]: [usize; 2], distance_px: f32) -> Self {
+        // A pixel more, for rounding.
+        let rows = (top as f32 - distance_px - 1.0)..=(bottom as f32 + distance_px + 1.0);
+        let mut points_px = heapless::Vec::new();
+        let is_complete = existing_px
+            .filter(|[x, y]| x.is_finite() && rows.contains(y))
+            .all(|point_px| points_px.push(point_px).is_ok());
+        Self { points_px, is_complete }
+    }
+
+    /// Whether all of them are as `is_fine` wants; `existing_px` is asked where there was no room.
+    fn all(&self, mut existing_px: impl Iterator<Item = [f32; 2]>, is_fine: impl Fn([f32; 2]) -> bool) -> bool {
+        if self.is_complete {
+            return self.points_px.iter().all(|&px| is_fine(px));
+        }
+        existing_px.all(|px| !px.iter().all(|c| c.is_finite()) || is_fine(px))
+    }
 }
 
 /// The part of `start..start + side` that is at least `border` away from both ends of the image.

@@ -337,11 +337,17 @@ impl<'m> TrackTable<'m> {
 /// How far a track is expected to move until the next frame, px: as far as it, or the nearest track that has moved
 /// already, moved until this one.
 fn expected_step_px(track: &Track, tracks: &[Track]) -> [f32; 2] {
-    let distance2 = |other: &Track| squared_distance(other.current_px, track.current_px);
-    let moved = match track.age_frames {
-        0 => tracks.iter().filter(|other| other.age_frames > 0).min_by(|a, b| distance2(a).total_cmp(&distance2(b))),
-        _ => Some(track),
+    let nearest_that_moved = || {
+        let mut nearest = (f32::INFINITY, None);
+        for other in tracks.iter().filter(|other| other.age_frames > 0) {
+            let distance2 = squared_distance(other.current_px, track.current_px);
+            if distance2 < nearest.0 {
+                nearest = (distance2, Some(other));
+            }
+        }
+        nearest.1
     };
+    let moved = if track.age_frames > 0 { Some(track) } else { nearest_that_moved() };
     moved.map_or([0.0; 2], |other| [0, 1].map(|k: usize| other.current_px[k] - other.previous_px[k]))
 }
 
