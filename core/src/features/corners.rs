@@ -244,7 +244,7 @@ fn strongest_in_cell<K: Kernel, const N: usize>(
         responses = [responses[1], responses[2], response_row(&sums.block)];
         // The block ends with row y, so it is centred two rows above; the middle responses lie one row higher still.
         let center_y = y + 1 - HALO;
-        if center_y >= first[1] {
+        if center_y >= first[1] && any_above(&responses[1], strongest[CANDIDATES - 1].0) {
             for i in HALO..n_lanes - HALO {
                 let response = responses[1][i];
                 if response > strongest[CANDIDATES - 1].0 && is_maximum(&responses, i) {
@@ -257,6 +257,16 @@ fn strongest_in_cell<K: Kernel, const N: usize>(
         middle_block = sums.block;
     }
     strongest.map(|(_, corner)| corner)
+}
+
+/// Whether any response is larger than `least`: most rows have none.
+#[inline(always)]
+fn any_above<const N: usize>(responses: &[f32; N], least: f32) -> bool {
+    let mut is_above = false;
+    for &response in responses {
+        is_above |= response > least;
+    }
+    is_above
 }
 
 /// Sums over the last rows of products.
