@@ -101,10 +101,12 @@ impl KernelTask for Scan<'_, '_, '_> {
             let excluded = mask.row(y);
             for column in (first..end).step_by(FOUR) {
                 let Some((is_used, terms)) = self.terms(kernel, [column, row], end, excluded) else { continue };
-                for i in (0..FOUR).filter(|&i| is_used[i]) {
-                    n_pixels += 1;
-                    for (group, terms) in groups.iter_mut().zip(&terms) {
-                        *group = *group + terms[i];
+                for i in 0..FOUR {
+                    if is_used[i] {
+                        n_pixels += 1;
+                        for (group, terms) in groups.iter_mut().zip(&terms) {
+                            *group = *group + terms[i];
+                        }
                     }
                 }
             }
@@ -142,9 +144,11 @@ impl Scan<'_, '_, '_> {
         let inverse_z = one / qz;
         let (u, v) = (qx * inverse_z, qy * inverse_z);
         let (fx, fy) = (kernel.all(c.fx), kernel.all(c.fy));
-        let mut is_used = [false; FOUR];
-        for (i, (is_used, x)) in is_used.iter_mut().zip(x.values()).enumerate() {
-            *is_used = column + i < end && (excluded == 0 || !self.view.mask.excludes(excluded, x));
+        let mut is_used = [true; FOUR];
+        if column + FOUR > end || excluded != 0 {
+            for (i, (is_used, x)) in is_used.iter_mut().zip(x.values()).enumerate() {
+                *is_used = column + i < end && !self.view.mask.excludes(excluded, x);
+            }
         }
         let pixel = [fx * u + kernel.all(c.cx), fy * v + kernel.all(c.cy)];
         let samples = Samples::read(kernel, &strip.earlier, pixel, &mut is_used);
@@ -244,7 +248,7 @@ impl<D: Doubles> Samples<D> {
         // Four pixels of four rows of the neighbourhood, a byte each.
         let mut rows = [[0u32; FOUR]; 4];
         for i in 0..FOUR {
-            is_used[i] &= x[i] >= 1.0 && y[i] >= 1.0 && x[i] < last[0] && y[i] < last[1];
+            is_used[i] &= (x[i] >= 1.0) & (y[i] >= 1.0) & (x[i] < last[0]) & (y[i] < last[1]);
             if !is_used[i] {
                 continue;
             }

@@ -341,7 +341,7 @@ fn interpolate<K: Kernel>(
     // Pairs of pixels of two rows, a byte each.
     let mut rows = [[0u32; FOUR]; 2];
     for i in 0..FOUR {
-        is_seen[i] &= x[i] >= 0.0 && y[i] >= 0.0 && x[i] < last[0] && y[i] < last[1];
+        is_seen[i] &= (x[i] >= 0.0) & (y[i] >= 0.0) & (x[i] < last[0]) & (y[i] < last[1]);
         if !is_seen[i] {
             continue;
         }
