@@ -53,11 +53,11 @@ pub(crate) struct PlainDoubles([f64; FOUR]);
 
 #[inline(always)]
 fn map(a: PlainDoubles, b: PlainDoubles, f: impl Fn(f64, f64) -> f64) -> PlainDoubles {
-    let mut out = [0.0; FOUR];
-    for i in 0..FOUR {
-        out[i] = f(a.0[i], b.0[i]);
+    let mut out = a;
+    for (out, &b) in out.0.iter_mut().zip(&b.0) {
+        *out = f(*out, b);
     }
-    PlainDoubles(out)
+    out
 }
 
 impl Add for PlainDoubles {
@@ -110,11 +110,11 @@ impl Doubles for PlainDoubles {
 
     #[inline(always)]
     fn if_less(self, limit: Self, then: Self, otherwise: Self) -> Self {
-        let mut out = [0.0; FOUR];
-        for i in 0..FOUR {
-            out[i] = if self.0[i] < limit.0[i] { then.0[i] } else { otherwise.0[i] };
+        let mut out = otherwise;
+        for (i, out) in out.0.iter_mut().enumerate() {
+            *out = if self.0[i] < limit.0[i] { then.0[i] } else { *out };
         }
-        Self(out)
+        out
     }
 
     #[inline(always)]
@@ -145,8 +145,8 @@ impl DoublesKernel for Plain {
     #[inline(always)]
     fn bytes<const SHIFT: i32>(self, words: [u32; FOUR]) -> PlainDoubles {
         let mut values = [0.0; FOUR];
-        for i in 0..FOUR {
-            values[i] = f64::from(words[i] >> SHIFT & 0xff);
+        for (value, word) in values.iter_mut().zip(words) {
+            *value = f64::from(word >> SHIFT & 0xff);
         }
         PlainDoubles(values)
     }

@@ -136,7 +136,7 @@ impl<'a> ImageView<'a> {
 
     /// The bytes from a pixel on, rows [`stride`](Self::stride) apart; empty behind the image.
     #[inline(always)]
-    pub(crate) fn from_pixel(&self, x: usize, y: usize) -> &'a [u8] {
+    pub(crate) fn bytes_from(&self, x: usize, y: usize) -> &'a [u8] {
         self.pixels.get(y * self.stride + x..).unwrap_or(&[])
     }
 }

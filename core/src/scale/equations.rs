@@ -254,7 +254,7 @@ impl<D: Doubles> Samples<D> {
             }
             let (column, row) = (x[i] as u32, y[i] as u32);
             (fx[i], fy[i]) = (x[i] - f64::from(column), y[i] - f64::from(row));
-            let bytes = image.from_pixel(column as usize - 1, row as usize - 1);
+            let bytes = image.bytes_from(column as usize - 1, row as usize - 1);
             for (k, words) in rows.iter_mut().enumerate() {
                 let word = bytes.get(k * image.stride()..).and_then(|bytes| bytes.first_chunk());
                 words[i] = u32::from_le_bytes(*word.unwrap_or(&[0; 4]));

@@ -281,12 +281,10 @@ impl KernelTask for Variances<'_, '_, '_> {
     fn run<K: Kernel>(self, kernel: K) {
         let Some(&last) = self.planes.last() else { return };
         for (planes, variances) in self.planes.chunks(FOUR).zip(self.variances.chunks_mut(FOUR)) {
-            let mut components = [[0.0; FOUR]; 3];
-            for i in 0..FOUR {
-                let plane = planes.get(i).unwrap_or(&last);
-                (components[0][i], components[1][i], components[2][i]) = (plane.x, plane.y, plane.z);
+            let [mut x, mut y, mut z] = [[last.x; FOUR], [last.y; FOUR], [last.z; FOUR]];
+            for (i, plane) in planes.iter().enumerate() {
+                (x[i], y[i], z[i]) = (plane.x, plane.y, plane.z);
             }
-            let [x, y, z] = components;
             let four = [kernel.doubles(x), kernel.doubles(y), kernel.doubles(z)];
             let found = self.tile.variances_of_four(kernel, four);
             variances.iter_mut().zip(found).take(planes.len()).for_each(|(slot, found)| *slot = found);
@@ -347,7 +345,7 @@ fn interpolate<K: Kernel>(
         }
         let (column, row) = (x[i] as u32, y[i] as u32);
         (fx[i], fy[i]) = (x[i] - f64::from(column), y[i] - f64::from(row));
-        let bytes = image.from_pixel(column as usize, row as usize);
+        let bytes = image.bytes_from(column as usize, row as usize);
         let pair = |start: usize| bytes.get(start..).and_then(|bytes| bytes.first_chunk()).unwrap_or(&[0; 2]);
         rows[0][i] = u16::from_le_bytes(*pair(0)).into();
         rows[1][i] = u16::from_le_bytes(*pair(image.stride())).into();

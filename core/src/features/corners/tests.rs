@@ -49,7 +49,7 @@ fn responses_of_a_cell_equal_the_plain_formula() {
         let row = |dy| p(-1, dy) + 2.0 * p(0, dy) + p(1, dy);
         [(column(1) - column(-1)) / 8.0, (row(1) - row(-1)) / 8.0]
     };
-    let corner = strongest_in_cell(Plain, image, [20, 12], [44, 40])[0];
+    let corner = strongest_in_cell::<Plain, FEW_LANES>(Plain, image, [20, 12], [44, 40])[0];
     let (cx, cy) = (corner.pixel[0] as usize, corner.pixel[1] as usize);
     let mut sums = [0.0; 3];
     for y in cy - 2..=cy + 2 {
