@@ -105,7 +105,7 @@ pub fn main() -> Result<(), RunError> {
         }
         Command::Doctor(command) => {
             let settings = crate::config::load(&command.config)?;
-            crate::doctor::run(&command.args, &settings).map_err(|e| RunError::Run(e.to_string()))
+            crate::doctor::run(&command.args, &settings)
         }
         Command::Camera(args) => Ok(kilogs_camera::cli::run(args)?),
     }

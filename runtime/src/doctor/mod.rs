@@ -3,6 +3,7 @@
 mod checks;
 
 use crate::budget::{Budget, Plan, PlanCameraArgs};
+use crate::run_error::RunError;
 use crate::settings::Settings;
 use std::fmt;
 use std::path::PathBuf;
@@ -82,15 +83,14 @@ pub fn examine(args: &DoctorArgs, settings: &Settings) -> Vec<Finding> {
 /// Prints a line for each check.
 ///
 /// # Errors
-/// [`NotReady`] when something has to be mended.
-pub fn run(args: &DoctorArgs, settings: &Settings) -> Result<(), NotReady> {
+/// [`RunError`] of [`NotReady`] when something has to be mended, or of what standard output did not take.
+pub fn run(args: &DoctorArgs, settings: &Settings) -> Result<(), RunError> {
     let findings = examine(args, settings);
-    for finding in &findings {
-        println!("{finding}");
-    }
+    let lines: String = findings.iter().map(|finding| format!("{finding}\n")).collect();
+    kilogs_eval::stdout::show(&lines).map_err(RunError::stdout)?;
     match findings.iter().filter(|finding| finding.advice.is_some()).count() {
         0 => Ok(()),
-        n_problems => Err(NotReady { n_problems, n_checks: findings.len() }),
+        n_problems => Err(RunError::Run(NotReady { n_problems, n_checks: findings.len() }.to_string())),
     }
 }
 

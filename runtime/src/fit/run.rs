@@ -52,7 +52,7 @@ pub fn run(request: FitRequest) -> Result<(), RunError> {
     for (view, nth) in scene.views.iter().zip(0..) {
         let report = reports.next(nth, view.timestamp_ns, &view.world_from_camera);
         folder.frame(&report, &StageTimes::default())?;
-        tally.frame(&report, &StageTimes::default(), watch.own().rss_bytes);
+        tally.pose(&report);
     }
     let usage = Usage::default();
     let mapping = train(scene, &plan, effort, &usage, &mut |progress, bar| {

@@ -62,6 +62,11 @@ impl Tally {
         self.per_frame.push(f64::from(own_ms));
         self.tracking.push(f64::from(times.ms(Stage::Tracking)));
         self.chart.push(times, rss_bytes);
+        self.pose(report);
+    }
+
+    /// Adds a frame that took no time, because its pose was given.
+    pub fn pose(&mut self, report: &FrameReport) {
         let is_rejected =
             matches!(report.reason, StatusReason::TurnsTooFast | StatusReason::SlipsSideways | StatusReason::TooFast);
         self.anomalies += u64::from(is_rejected);
