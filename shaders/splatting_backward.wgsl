@@ -88,6 +88,12 @@ fn fading(anchor: DeviceAnchor, by_log_opacity: f32) -> vec3<f32> {
     return select(vec3<f32>(), share * at / distance_m, slope != 0.0);
 }
 
+// What is finished has no gradient.
+fn is_finished(anchor: DeviceAnchor) -> bool {
+    let row = chunk_row_of(anchor);
+    return row < 32u && (view.finished_rows >> row & 1u) == 1u;
+}
+
 // Replaces the numbers of a visible candidate by gradients.
 fn backward(c: u32) -> Parts {
     let anchor = anchors[candidates[c] / view.k];
@@ -105,7 +111,11 @@ fn backward(c: u32) -> Parts {
     let mean_side = (side.x + side.y + side.z) * (1.0 / 3.0);
     let weight = view.isotropy_weight / f32(max(counters.visible, 1u));
     out.log_scale += weight * (side - mean_side) * scale;
-    store(c, out);
+    if is_finished(anchor) {
+        store(c, Numbers());
+    } else {
+        store(c, out);
+    }
     let anisotropy = abs(from_mean.x) + abs(from_mean.y) + abs(from_mean.z);
     if view.finds_pose == 0u {
         return Parts(anisotropy, vec3<f32>(), vec3<f32>());

@@ -47,7 +47,7 @@ struct ViewBlock {
     output_color_rate: f32,
     finds_pose: u32,
     error_threshold: f32,
-    spare: u32,
+    finished_rows: u32,
 }
 @group(0) @binding(0) var<uniform> view: ViewBlock;
 

@@ -1,8 +1,9 @@
 //! What comes back into memory: pages that the vehicle is about to see again.
 //!
 //! A page is asked for at one keyframe and taken [`RETURN_AFTER_KEYFRAMES`] later in lock-step, or as soon as it was
-//! read when live. Where a returned anchor meets one that is there already, it ends: a voxel has one anchor. Returned
-//! anchors are trained by the views that see them; the decoder of their chunk is frozen.
+//! read when live. A voxel has one anchor: where a returned one meets one that is there already, that of the later drive
+//! ends. The chunk before the newest goes on being trained by the views that see it, but for its decoder; what is older is
+//! shown and stays as it is.
 
 use super::fingerprint::fingerprint;
 use super::mapper::{KeyframePacket, Mapper};
@@ -212,9 +213,12 @@ impl Mapper {
             sum = sum.wrapping_add(fingerprint(&anchor, &feature, &self.returning));
             let Some(voxel) = voxel_of(group, &anchor) else { continue };
             let Some(row) = self.keyframe_row(anchor.keyframe_id) else { continue };
-            if self.grid.get(voxel).is_some() {
+            if let Some(other) = self.grid.get(voxel) {
                 self.counters.anchors_merged += 1;
-                continue;
+                if !self.is_of_later_drive(other, anchor.keyframe_id) {
+                    continue;
+                }
+                self.end(other);
             }
             let (keyframe_ordinal, n_gaussians) = (anchor.keyframe_id, anchor.n_gaussians);
             let record = AnchorRecord { voxel, keyframe_ordinal, n_gaussians, page_part: part };

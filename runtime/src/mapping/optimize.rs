@@ -1,8 +1,8 @@
 //! Training steps: which keyframe is looked at next.
 
-use super::mapper::Mapper;
+use super::mapper::{CHUNK_KEYFRAMES, Mapper};
 use super::settings::MapperSettings;
-use crate::splat::{StepSettings, TargetImage, TrainingView, View};
+use crate::splat::{ChunkRows, StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
 
 /// What the steps achieved.
@@ -45,7 +45,8 @@ impl Mapper {
         let mut rng = Rng::new(self.settings.seed, self.counters.iterations, VIEW_CHOICE);
         let older = self.choose_older(&mut rng);
         let window = self.settings.window.min(self.images.len());
-        let settings = StepSettings { decoder_row: self.learning_row(), ..self.settings.step };
+        let decoder_row = self.learning_row();
+        let settings = StepSettings { decoder_row, finished: self.finished_chunks(), ..self.settings.step };
         let mut psnr_sum_db = 0.0;
         for _ in 0..n_iterations {
             let age = draw_age(&self.settings, window, &older, &mut rng);
@@ -73,6 +74,18 @@ impl Mapper {
         report.mean_psnr_db = psnr_sum_db / report.n_iterations.max(1) as f32;
         self.counters.iterations += u64::from(report.n_iterations);
         report
+    }
+
+    /// Rows of the chunks that are finished: all but the newest one and the one before it.
+    ///
+    /// What was mapped on an earlier drive along the street is shown and stays as it is. Its own views are not there to be
+    /// trained with, and before a loop is closed the new ones are metres off: they would overwrite it.
+    fn finished_chunks(&self) -> ChunkRows {
+        let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal / CHUNK_KEYFRAMES);
+        let chunk_rows = &self.paging.chunk_rows;
+        let earlier = chunk_rows.ids().filter(|chunk| chunk + 1 < newest);
+        let rows = earlier.filter_map(|chunk| chunk_rows.row(chunk)).filter_map(|row| u16::try_from(row).ok());
+        rows.fold(ChunkRows::NONE, ChunkRows::with)
     }
 
     /// Ages of keyframes before the window whose anchors are still resident.

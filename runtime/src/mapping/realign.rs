@@ -53,7 +53,7 @@ impl Mapper {
             for nth in 0..self.staging.slots.len() {
                 let slot = self.staging.slots[nth];
                 let in_keyframe_m = Vector3::from(self.staging.headers[nth].position_in_keyframe_m).cast::<f64>();
-                if self.settle(slot, in_keyframe_m) {
+                if self.settle(slot, in_keyframe_m) == Settled::Ends {
                     self.staging.slots.swap(n_ending, nth);
                     n_ending += 1;
                 }
@@ -64,27 +64,60 @@ impl Mapper {
         self.staging.clear();
     }
 
-    /// Puts an anchor into the voxel that it is in; whether it has to end, because another drive's is there.
-    fn settle(&mut self, slot: u32, in_keyframe_m: Vector3<f64>) -> bool {
-        let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.get_mut(handle)) else { return false };
-        let group = self.paging.directory.get(record.keyframe_ordinal / PAGE_KEYFRAMES);
-        let Some(placement) = group.and_then(|group| group.placement(record.keyframe_ordinal)) else { return false };
-        let in_map_m = point_in_map(placement, in_keyframe_m);
-        let Some(voxel) = VoxelKey::containing(record.voxel.level(), in_map_m) else { return false };
-        record.voxel = voxel;
+    /// Puts an anchor into the voxel that it is in. Where that of another drive is, the later one of the two ends.
+    fn settle(&mut self, slot: u32, in_keyframe_m: Vector3<f64>) -> Settled {
+        let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.get_mut(handle)) else {
+            return Settled::Stays;
+        };
         let ordinal = record.keyframe_ordinal;
+        let group = self.paging.directory.get(ordinal / PAGE_KEYFRAMES);
+        let Some(placement) = group.and_then(|group| group.placement(ordinal)) else { return Settled::Stays };
+        let in_map_m = point_in_map(placement, in_keyframe_m);
+        let Some(voxel) = VoxelKey::containing(record.voxel.level(), in_map_m) else { return Settled::Stays };
+        record.voxel = voxel;
         match self.grid.get(voxel) {
-            None => {
-                // There was room for it before.
-                let _ = self.grid.insert(voxel, slot);
-                false
+            Some(other) if self.is_of_later_drive(other, ordinal) => {
+                self.counters.anchors_merged += 1;
+                self.end(other);
             }
-            Some(other) => {
-                let other = self.pool.handle_at(other).and_then(|handle| self.pool.get(handle));
-                other.is_some_and(|other| other.keyframe_ordinal.abs_diff(ordinal) >= OTHER_DRIVE_KEYFRAMES)
-            }
+            Some(other) if self.is_of_earlier_drive(other, ordinal) => return Settled::Ends,
+            Some(_) => return Settled::Stays,
+            None => {}
         }
+        // There was room for it before.
+        let _ = self.grid.insert(voxel, slot);
+        Settled::Stays
     }
+
+    /// Whether the anchor in a slot comes from a later drive along the street than this keyframe.
+    pub(super) fn is_of_later_drive(&self, slot: u32, ordinal: u32) -> bool {
+        self.ordinal_in(slot).is_some_and(|other| other >= ordinal.saturating_add(OTHER_DRIVE_KEYFRAMES))
+    }
+
+    fn is_of_earlier_drive(&self, slot: u32, ordinal: u32) -> bool {
+        self.ordinal_in(slot).is_some_and(|other| other.saturating_add(OTHER_DRIVE_KEYFRAMES) <= ordinal)
+    }
+
+    fn ordinal_in(&self, slot: u32) -> Option<u32> {
+        let record = self.pool.handle_at(slot).and_then(|handle| self.pool.get(handle));
+        record.map(|record| record.keyframe_ordinal)
+    }
+
+    /// Ends the anchor in a slot: it leaves pool, grid and backend.
+    pub(super) fn end(&mut self, slot: u32) {
+        let Some(record) = self.pool.handle_at(slot).and_then(|handle| self.pool.remove(handle)) else { return };
+        if self.grid.get(record.voxel) == Some(slot) {
+            self.grid.remove(record.voxel);
+        }
+        self.backend.retire_anchors(&[slot]);
+    }
+}
+
+/// What becomes of an anchor whose keyframe moved.
+#[derive(PartialEq)]
+enum Settled {
+    Stays,
+    Ends,
 }
 
 /// A placement that was moved.

@@ -1,6 +1,6 @@
 //! What decides how a map is built.
 
-use crate::splat::{DecoderRates, LearningRate, LearningRates, LossWeights, StepSettings};
+use crate::splat::{ChunkRows, DecoderRates, LearningRate, LearningRates, LossWeights, StepSettings};
 use kilogs_core::map::depth::motion_stereo::StereoSettings;
 use kilogs_core::map::depth::sparse::SparseSettings;
 use kilogs_core::map::insertion::InsertionSettings;
@@ -27,6 +27,7 @@ const STEP: StepSettings = StepSettings {
     progress: 0.0,
     weights: LossWeights { depth: 0.0, isotropy: 0.0, ..LossWeights::METHOD },
     decoder_row: None,
+    finished: ChunkRows::NONE,
     pose_gradient: false,
 };
 

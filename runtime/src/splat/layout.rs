@@ -101,8 +101,8 @@ pub struct ViewBlock {
     pub finds_pose: u32,
     /// A pixel is wrong when the mean over its channels of the absolute difference is above this.
     pub error_threshold: f32,
-    /// Unused.
-    pub spare: u32,
+    /// Chunk rows whose anchors have no gradient, a bit each; those from 32 on have one.
+    pub finished_rows: u32,
 }
 
 /// What of an anchor never changes by training, as kernels read it.

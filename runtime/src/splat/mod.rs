@@ -30,8 +30,8 @@ pub use row_table::{BYTES_PER_ROW, RowTable};
 pub use score::{AnchorScore, ScoreReport};
 pub use stages::{MAX_STAGES, StageClock, StageTimes};
 pub use training::{
-    DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, PoseGradient, StepReport,
-    StepSettings, TargetImage, TrainingView,
+    ChunkRows, DecoderRates, DepthTarget, Exposure, LearningRate, LearningRates, LossTerms, LossWeights, PoseGradient,
+    StepReport, StepSettings, TargetImage, TrainingView,
 };
 
 use kilogs_core::map::numbers;

@@ -217,8 +217,38 @@ pub struct StepSettings {
     pub weights: LossWeights,
     /// Chunk row whose decoder learns; those of all others are frozen. Features learn whatever their row.
     pub decoder_row: Option<u16>,
+    /// Chunk rows whose anchors are drawn and not trained: no gradient reaches them. Those of them that were trained before
+    /// coast to a halt.
+    pub finished: ChunkRows,
     /// Also find [`StepReport::pose_gradient`], which costs a little.
     pub pose_gradient: bool,
+}
+
+/// A set of chunk rows; rows from [`ChunkRows::BITS`] on are never in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ChunkRows(u32);
+
+impl ChunkRows {
+    /// No row.
+    pub const NONE: Self = Self(0);
+    /// Rows that can be in a set.
+    pub const BITS: u16 = u32::BITS as u16;
+
+    /// The set with a row more.
+    pub fn with(self, row: u16) -> Self {
+        Self(self.0 | 1u32.checked_shl(row.into()).unwrap_or(0))
+    }
+
+    /// Whether a row is in the set.
+    #[inline(always)]
+    pub fn contains(self, row: u16) -> bool {
+        row < Self::BITS && self.0 >> row & 1 == 1
+    }
+
+    /// A bit for each row, row 0 the lowest.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
 }
 
 impl StepSettings {
@@ -229,6 +259,7 @@ impl StepSettings {
             progress,
             weights: LossWeights::METHOD,
             decoder_row: None,
+            finished: ChunkRows::NONE,
             pose_gradient: false,
         }
     }

@@ -5,7 +5,7 @@ use super::decode::N_PARAMS;
 use super::decoders::DecoderRule;
 use super::learn::{Collected, LearnRule};
 use super::update::UpdateRule;
-use crate::splat::{AnchorFeature, StepReport, StepSettings, TrainingView, View};
+use crate::splat::{AnchorFeature, ChunkRows, StepReport, StepSettings, TrainingView, View};
 use kilogs_core::map::decoder::NO_FEATURE;
 
 impl CpuBackend {
@@ -66,7 +66,12 @@ impl CpuBackend {
         let drawn = self.draw(view);
         self.loss.set_gradients(upstream);
         params.fill([0.0; N_PARAMS]);
-        let update = UpdateRule { rates: [0.0; N_PARAMS], isotropy_weight: 0.0, pose_gradient: false };
+        let update = UpdateRule {
+            rates: [0.0; N_PARAMS],
+            isotropy_weight: 0.0,
+            pose_gradient: false,
+            finished: ChunkRows::NONE,
+        };
         let rule = LearnRule { update, decoder: DecoderRule::FROZEN };
         self.learn(&drawn, &rule, Collected { params: Some(params), features: None });
         Some(self.sky.last_gradients())

@@ -121,6 +121,7 @@ impl CpuBackend {
                 rates: rates_per_number(&settings.rates, settings.progress),
                 isotropy_weight: settings.weights.isotropy / n_visible,
                 pose_gradient: settings.pose_gradient,
+                finished: settings.finished,
             },
             decoder: DecoderRule::at(&settings.rates.decoder, settings.decoder_row, settings.progress),
         };

@@ -13,7 +13,7 @@ use super::pose::PoseSum;
 use super::project::{Projected, SplatGradient, project, project_backward};
 use super::splats::{GRAD_COLOR, GRAD_DEPTH, Lists, MAX_JOBS, N_SPLAT_GRADS, piece_len, take_front};
 use super::splatting::CameraView;
-use crate::splat::GaussianParams;
+use crate::splat::{ChunkRows, GaussianParams};
 use pulp::{Simd, WithSimd};
 
 /// How the optimizer steps.
@@ -25,6 +25,8 @@ pub struct UpdateRule {
     pub isotropy_weight: f32,
     /// Whether the gradient of the camera's pose is wanted.
     pub pose_gradient: bool,
+    /// Chunk rows whose anchors have no gradient.
+    pub finished: ChunkRows,
 }
 
 impl UpdateRule {
@@ -160,6 +162,19 @@ impl WithSimd for RunUpdateJob<'_, '_> {
 }
 
 impl UpdateJob<'_> {
+    /// What is finished has no gradient; without one and without moments it stays as it is.
+    #[inline(always)]
+    fn spare_finished(&self, ids: &[u32], work: &mut Work) {
+        if self.rule.finished == ChunkRows::NONE {
+            return;
+        }
+        for (lane, &id) in ids.iter().enumerate() {
+            if self.rule.finished.contains(self.fixed.headers[id as usize / self.fixed.k].chunk_row) {
+                work.param_grads.iter_mut().for_each(|row| row.0[lane] = 0.0);
+            }
+        }
+    }
+
     #[inline(always)]
     fn run_packet<S: Simd>(&mut self, simd: S, ids: &[u32], work: &mut Work) {
         let drawn = self.storage.shown.as_deref().unwrap_or(self.storage.params);
@@ -171,6 +186,7 @@ impl UpdateJob<'_> {
                 work.param_grads[i].store(first, gradient[i]);
             }
         }
+        self.spare_finished(ids, work);
         self.sums.anisotropy += work.anisotropy.0[..ids.len()].iter().map(|&v| f64::from(v)).sum::<f64>();
         if self.rule.pose_gradient {
             self.add_pose_gradients(ids, work);

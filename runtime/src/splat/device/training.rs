@@ -132,6 +132,7 @@ impl<E: Executor> DeviceBackend<E> {
             color_rate: rate(&rates.color),
             background_rate: rate(&rates.background),
             finds_pose: u32::from(settings.pose_gradient),
+            finished_rows: settings.finished.bits(),
             ..self.decoder_block(&decoder_rule(settings), self.block(&training.view))
         }
     }

@@ -44,8 +44,14 @@ impl Problem {
         let wave = |i: usize, f: f32| offset + 0.5 + 0.4 * (i as f32 * f).sin();
         let target = (0..n).map(|i| [wave(i, 0.31), wave(i, 0.11), wave(i, 0.05)]).collect();
         let confidence = (0..n).map(|i| (i % 4) as f32 / 3.0).collect();
-        let settings =
-            StepSettings { rates: NO_RATES, progress: 0.0, weights, decoder_row: None, pose_gradient: false };
+        let settings = StepSettings {
+            rates: NO_RATES,
+            progress: 0.0,
+            weights,
+            decoder_row: None,
+            finished: ChunkRows::NONE,
+            pose_gradient: false,
+        };
         Self { backend, headers, view, target, depth_m: vec![50.0; n], confidence, settings }
     }
 

@@ -152,7 +152,7 @@ fn structs_agree_member_by_member() {
         output_color_rate,
         finds_pose,
         error_threshold,
-        spare,
+        finished_rows,
     });
     check_layout!(DeviceAnchor {
         position_x,

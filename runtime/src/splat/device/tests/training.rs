@@ -105,6 +105,21 @@ fn training_gradients_match_the_cpu() {
 }
 
 #[test]
+fn what_is_finished_has_no_gradient() {
+    let mut problem = Problem::new(61, 45, 12);
+    problem.capacities.chunk_rows = 2;
+    problem.headers.iter_mut().step_by(2).for_each(|header| header.chunk_row = 1);
+    problem.settings.finished = ChunkRows::NONE.with(1);
+    problem.check_gradients(1e-3);
+    let mut gradients = vec![[0.0; N_PARAMS]; problem.params.len()];
+    problem.cpu().training_gradients(&problem.training(), &problem.settings, &mut gradients).expect("fits");
+    let has_gradient = |nth: usize| gradients[nth * K..(nth + 1) * K].as_flattened().iter().any(|&g| g != 0.0);
+    let n_with = |row: usize| (row..12).step_by(2).filter(|&nth| has_gradient(nth)).count();
+    assert_eq!(n_with(0), 0, "anchors of chunk row 1");
+    assert!(n_with(1) > 1, "anchors of chunk row 0");
+}
+
+#[test]
 fn ten_steps_end_where_the_cpu_ends() {
     let problem = Problem::new(61, 45, 12);
     on_every_device(problem.capacities, |who, backend| {
