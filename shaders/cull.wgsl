@@ -43,7 +43,7 @@ fn slot_bits(slot: u32) -> u32 {
     let placement = keyframes[anchor.keyframe_row];
     let position = position_of(anchor);
     let extent = extent_of(anchor);
-    if band_opacity(level_of(anchor), length(in_camera(placement, position))) <= 0.0 {
+    if visibility_of(anchor, placement) <= 0.0 {
         return 0u;
     }
     let reach_m = length(placement.row_x.xyz) * max(extent.x, max(extent.y, extent.z));

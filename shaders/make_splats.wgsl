@@ -21,8 +21,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let position = position_of(anchor);
     let g = decode(position, extent_of(anchor), effective_numbers(c));
     let p = project(placement, g);
-    let band = band_opacity(level_of(anchor), length(in_camera(placement, position)));
-    let log2_opacity = binary_logarithm(max(g.opacity * band, 1e-30));
+    let log2_opacity = binary_logarithm(max(g.opacity * visibility_of(anchor, placement), 1e-30));
     let reach = log2_opacity - LOG2_MIN_ALPHA;
     let conic = vec3<f32>(-0.5, -1.0, -0.5) * LOG2_E * p.conic;
     // q <= ln(255 opacity) reaches sqrt(2 q variance) from the mean.

@@ -79,13 +79,20 @@ struct Parts {
     shift: vec3<f32>,
 }
 
-// Gradient with respect to the anchor's place in the camera's frame, through the fading between levels.
+// Gradient with respect to the anchor's place in the camera's frame, through the fading between levels and sides.
 fn fading(anchor: DeviceAnchor, by_log_opacity: f32) -> vec3<f32> {
-    let at = in_camera(keyframes[anchor.keyframe_row], position_of(anchor));
+    let placement = keyframes[anchor.keyframe_row];
+    let at = in_camera(placement, position_of(anchor));
     let distance_m = length(at);
+    let ray = at / distance_m;
     let slope = band_opacity_slope(level_of(anchor), distance_m);
-    let share = by_log_opacity * slope / band_opacity(level_of(anchor), distance_m);
-    return select(vec3<f32>(), share * at / distance_m, slope != 0.0);
+    let by_distance = slope / band_opacity(level_of(anchor), distance_m) * ray;
+    let cosine = side_cosine(placement, at);
+    let turn = side_opacity_slope(cosine);
+    let seen = at - vec3<f32>(placement.row_x.w, placement.row_y.w, placement.row_z.w);
+    let by_cosine = turn / side_opacity(cosine) * (normalize(seen) - cosine * ray) / distance_m;
+    return by_log_opacity
+        * (select(vec3<f32>(), by_distance, slope != 0.0) + select(vec3<f32>(), by_cosine, turn != 0.0));
 }
 
 // What is finished has no gradient.

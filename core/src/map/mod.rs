@@ -8,6 +8,7 @@ pub mod lod;
 pub mod numbers;
 pub mod pool;
 pub mod quota;
+pub mod side;
 pub mod spawn;
 pub mod voxel;
 

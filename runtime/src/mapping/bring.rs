@@ -213,7 +213,10 @@ impl Mapper {
             sum = sum.wrapping_add(fingerprint(&anchor, &feature, &self.returning));
             let Some(voxel) = voxel_of(group, &anchor) else { continue };
             let Some(row) = self.keyframe_row(anchor.keyframe_id) else { continue };
-            if let Some(other) = self.grid.get(voxel) {
+            let seen_from_m = group.placement(anchor.keyframe_id).map_or_else(Vector3::zeros, |at| at.translation_m);
+            if let Some(other) = self.grid.get(voxel)
+                && self.is_shown_to(other, voxel, &seen_from_m)
+            {
                 self.counters.anchors_merged += 1;
                 if !self.is_of_later_drive(other, anchor.keyframe_id) {
                     continue;

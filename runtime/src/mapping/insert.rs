@@ -223,11 +223,11 @@ impl Mapper {
         let (Some(keyframe_row), Some(chunk_row)) = rows else { return };
         let slot = match self.grid.get(key) {
             Some(slot) if self.staging.holds(slot) => slot,
-            Some(_) => {
+            Some(slot) if self.is_shown_to(slot, key, &keyframe.world_from_camera.translation.vector) => {
                 report.n_occupied += 1;
                 return;
             }
-            None => {
+            _ => {
                 if self.staging.is_full() {
                     report.refused.new_anchors += 1;
                     return;

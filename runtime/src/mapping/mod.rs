@@ -25,6 +25,7 @@ mod scratch;
 mod resume;
 mod settings;
 mod shrink;
+mod sides;
 mod sink;
 
 pub use capacity::MapperCapacity;

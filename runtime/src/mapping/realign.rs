@@ -75,7 +75,12 @@ impl Mapper {
         let in_map_m = point_in_map(placement, in_keyframe_m);
         let Some(voxel) = VoxelKey::containing(record.voxel.level(), in_map_m) else { return Settled::Stays };
         record.voxel = voxel;
+        let placement_m = placement.translation_m;
         match self.grid.get(voxel) {
+            Some(other) if !self.is_shown_to(other, voxel, &placement_m) => {
+                // From behind, it looks otherwise.
+                return Settled::Stays;
+            }
             Some(other) if self.is_of_later_drive(other, ordinal) => {
                 self.counters.anchors_merged += 1;
                 self.end(other);
@@ -98,7 +103,7 @@ impl Mapper {
         self.ordinal_in(slot).is_some_and(|other| other.saturating_add(OTHER_DRIVE_KEYFRAMES) <= ordinal)
     }
 
-    fn ordinal_in(&self, slot: u32) -> Option<u32> {
+    pub(super) fn ordinal_in(&self, slot: u32) -> Option<u32> {
         let record = self.pool.handle_at(slot).and_then(|handle| self.pool.get(handle));
         record.map(|record| record.keyframe_ordinal)
     }

@@ -75,7 +75,7 @@ macro_rules! kernels {
 
 kernels! {
     /// Which Gaussians of each slot may be in view.
-    Cull = "cull", GROUP, ["anchor", "lod", "group_scan", "scan"],
+    Cull = "cull", GROUP, ["anchor", "lod", "side", "group_scan", "scan"],
         [read anchors, read params, read keyframes, write visible_bits, write group_totals];
     /// Where each workgroup's candidates begin, and how many there are.
     ScanCandidates = "scan_candidates", GROUP, ["counters", "group_scan", "scan"],
@@ -91,7 +91,7 @@ kernels! {
         [read anchors, read keyframes, read candidates, read counters, read features, read decoders, write effective];
     /// Splat and sort key of every candidate.
     MakeSplats = "make_splats", GROUP,
-        ["counters_atomic", "anchor", "lod", "exponential", "decode", "effective", "project", "splat"],
+        ["counters_atomic", "anchor", "lod", "side", "exponential", "decode", "effective", "project", "splat"],
         [read anchors, read keyframes, read candidates, read effective, write counters, write splats, write keys,
          write order];
     /// How often each digit occurs in each piece of the keys.
@@ -130,7 +130,7 @@ kernels! {
         [read splats, read tile_starts, read pairs, read planes, read upstream, read bounds, write splat_sums];
     /// Gradients with respect to the numbers of every candidate, and with respect to the camera's pose.
     SplattingBackward = "splatting_backward", GROUP,
-        ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed", "lod"],
+        ["counters", "anchor", "exponential", "decode", "effective", "project", "project_backward", "splat", "bounds", "fixed", "lod", "side"],
         [read anchors, read keyframes, read candidates, read counters, read splats, read bounds, write splat_sums,
          write effective, write candidate_sums];
     /// Sums of the gradients of the decoder that learns and of the camera's place, and the Adam step of the features.

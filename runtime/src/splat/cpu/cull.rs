@@ -6,7 +6,7 @@ use super::splats::{Lists, MAX_JOBS, piece_len, take_front};
 use crate::pool::Pool;
 use crate::splat::kernel_constants::MAX_SIGMAS;
 use crate::splat::{AnchorHeader, GaussianParams, KeyframePlacement, View};
-use kilogs_core::map::lod;
+use kilogs_core::map::{lod, side};
 use nalgebra::{Matrix3, Vector3};
 
 /// `camera_from_keyframe` of a keyframe row: scale times rotation row by row, then the translation.
@@ -187,7 +187,7 @@ fn slot_bits(gaussians: &ShownGaussians<'_>, slot: usize, keyframes: &[KeyframeN
     let largest_extent_m = extent_m[0].max(extent_m[1]).max(extent_m[2]);
     // Scale of camera_from_keyframe: the length of a row of its linear part.
     let scale = || (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]).sqrt();
-    if band_opacity_of(header, m) <= 0.0 {
+    if visibility_of(header, m) <= 0.0 {
         return 0;
     }
     let mut bits = 0;
@@ -201,30 +201,64 @@ fn slot_bits(gaussians: &ShownGaussians<'_>, slot: usize, keyframes: &[KeyframeN
     bits
 }
 
-/// Share of its opacity that an anchor keeps at its distance from the camera (see [`lod`]).
+/// Share of its opacity that an anchor keeps at its distance from the camera (see [`lod`]) and on its side (see [`side`]).
 #[inline(always)]
-pub fn band_opacity_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> f32 {
-    let (_, distance_m) = anchor_in_camera(header, camera_from_keyframe);
-    lod::band_opacity(header.level, distance_m)
-}
-
-/// Change of the natural logarithm of [`band_opacity_of`] per metre that the anchor moves in the camera's frame.
-pub fn band_fade_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> [f32; 3] {
-    let (in_camera_m, distance_m) = anchor_in_camera(header, camera_from_keyframe);
-    match lod::band_opacity_slope(header.level, distance_m) {
-        0.0 => [0.0; 3],
-        slope => in_camera_m.map(|v| slope / lod::band_opacity(header.level, distance_m) * v / distance_m),
+pub fn visibility_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> f32 {
+    let seen = SeenAnchor::of(header, camera_from_keyframe);
+    match lod::band_opacity(header.level, seen.distance_m) {
+        0.0 => 0.0,
+        band => band * side::side_opacity(seen.cosine()),
     }
 }
 
-/// Position and distance of an anchor as the camera sees it, m.
+/// Change of the natural logarithm of [`visibility_of`] per metre that the anchor moves in the camera's frame.
+pub fn fade_of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> [f32; 3] {
+    let seen = SeenAnchor::of(header, camera_from_keyframe);
+    let cosine = seen.cosine();
+    let share = |slope: f32, opacity: f32| if slope == 0.0 { 0.0 } else { slope / opacity };
+    let by_distance =
+        share(lod::band_opacity_slope(header.level, seen.distance_m), lod::band_opacity(header.level, seen.distance_m));
+    let by_cosine = share(side::side_opacity_slope(cosine), side::side_opacity(cosine));
+    [0, 1, 2].map(|i| {
+        let ray = seen.in_camera_m[i] / seen.distance_m;
+        let turn = (seen.from_keyframe_m[i] / seen.depth_m - cosine * ray) / seen.distance_m;
+        by_distance * ray + if by_cosine == 0.0 { 0.0 } else { by_cosine * turn }
+    })
+}
+
+/// An anchor as the camera sees it, in the camera's axes.
+struct SeenAnchor {
+    in_camera_m: [f32; 3],
+    distance_m: f32,
+    /// The way to it from its keyframe.
+    from_keyframe_m: [f32; 3],
+    /// Length of that way.
+    depth_m: f32,
+}
+
+impl SeenAnchor {
+    #[inline(always)]
+    fn of(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> Self {
+        let m = camera_from_keyframe;
+        let [x, y, z] = header.position_in_keyframe_m;
+        let from_keyframe_m = [0, 1, 2].map(|r| m[r * 3] * x + m[r * 3 + 1] * y + m[r * 3 + 2] * z);
+        let in_camera_m = [0, 1, 2].map(|r| from_keyframe_m[r] + m[9 + r]);
+        Self { in_camera_m, distance_m: norm(in_camera_m), from_keyframe_m, depth_m: norm(from_keyframe_m) }
+    }
+
+    /// Of the angle between the rays to it from its keyframe and from the camera.
+    #[inline(always)]
+    fn cosine(&self) -> f32 {
+        let ([ax, ay, az], [bx, by, bz]) = (self.in_camera_m, self.from_keyframe_m);
+        let cosine = (ax * bx + ay * by + az * bz) / (self.distance_m * self.depth_m);
+        // What is where one of the two is has no sides.
+        if cosine.is_nan() { 1.0 } else { cosine }
+    }
+}
+
 #[inline(always)]
-fn anchor_in_camera(header: &AnchorHeader, camera_from_keyframe: &KeyframeNumbers) -> ([f32; 3], f32) {
-    let m = camera_from_keyframe;
-    let [x, y, z] = header.position_in_keyframe_m;
-    let in_camera = [0, 1, 2].map(|r| m[r * 3] * x + m[r * 3 + 1] * y + m[r * 3 + 2] * z + m[9 + r]);
-    let distance2_m2 = in_camera[0] * in_camera[0] + in_camera[1] * in_camera[1] + in_camera[2] * in_camera[2];
-    (in_camera, distance2_m2.sqrt())
+fn norm([x, y, z]: [f32; 3]) -> f32 {
+    (x * x + y * y + z * z).sqrt()
 }
 
 /// Largest of its scales, in units of the anchor's extent.

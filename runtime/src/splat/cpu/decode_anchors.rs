@@ -1,7 +1,7 @@
 //! What is drawn of each anchor: its stored numbers plus what its chunk's decoder adds for this camera.
 
 use super::anchors::FixedNumbers;
-use super::cull::{Frustum, KeyframeNumbers, band_opacity_of, largest_scale};
+use super::cull::{Frustum, KeyframeNumbers, largest_scale, visibility_of};
 use super::decoders::Decoders;
 use super::draw::Machine;
 use super::lane::Wide;
@@ -107,7 +107,7 @@ impl DecodeJob<'_> {
         let SeenAnchors { fixed, keyframes, .. } = self.seen;
         let header = &fixed.headers[slot];
         let m = &keyframes[header.keyframe_row as usize];
-        if header.n_gaussians == 0 || band_opacity_of(header, m) <= 0.0 {
+        if header.n_gaussians == 0 || visibility_of(header, m) <= 0.0 {
             return false;
         }
         let [x, y, z] = header.position_in_keyframe_m;

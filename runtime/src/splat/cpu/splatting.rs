@@ -1,6 +1,6 @@
 //! Candidates become splats: decoding, projection, and which pixel rows each one reaches.
 
-use super::cull::{KeyframeNumbers, ShownGaussians, band_opacity_of};
+use super::cull::{KeyframeNumbers, ShownGaussians, visibility_of};
 use super::decode::decode;
 use super::grid::{Grid, MAX_TILE_ROWS, TILE_PX};
 use super::lane::{Lane, each};
@@ -90,11 +90,11 @@ impl WithSimd for RunSplatJob<'_, '_> {
             }
             let candidate = job.first + i * PACKET;
             for (lane, (splat, key)) in splats.iter_mut().zip(keys).enumerate() {
-                let band = ids.get(lane).map_or(0.0, |&id| {
+                let visibility = ids.get(lane).map_or(0.0, |&id| {
                     let header = &fixed.headers[id as usize / fixed.k];
-                    band_opacity_of(header, &view.keyframes[header.keyframe_row as usize])
+                    visibility_of(header, &view.keyframes[header.keyframe_row as usize])
                 });
-                *key = match out.splat(lane, band, &view.grid) {
+                *key = match out.splat(lane, visibility, &view.grid) {
                     Some(found) => {
                         *splat = found;
                         let [top, bottom] = found.rows_px.map(|y| usize::from(y) / TILE_PX);
@@ -155,12 +155,12 @@ impl ProjectedRows {
 
     /// The splat of one lane, `None` when it does not meet the picture (or is not a number).
     ///
-    /// `band_opacity` scales the opacity and needs no backward pass of its own: the gradient of the opacity is that
+    /// `visibility` scales the opacity and needs no backward pass of its own: the gradient of the opacity is that
     /// of `q` over the opacity, and the factor cancels there.
     #[inline(always)]
-    fn splat(&self, lane: usize, band_opacity: f32, grid: &Grid) -> Option<Splat> {
+    fn splat(&self, lane: usize, visibility: f32, grid: &Grid) -> Option<Splat> {
         let depth_m = self.depth_m.0[lane];
-        let log2_opacity = (self.opacity.0[lane] * band_opacity).log2();
+        let log2_opacity = (self.opacity.0[lane] * visibility).log2();
         let reach = log2_opacity - LOG2_MIN_ALPHA;
         let conic_log2 = each!(i in 3 => self.conic[i].0[lane]);
         let mean_px = each!(i in 2 => self.mean_px[i].0[lane]);

@@ -4,7 +4,7 @@
 
 use super::adam::{BiasCorrection, adam};
 use super::anchors::{Anchors, FixedNumbers, Moments};
-use super::cull::band_fade_of;
+use super::cull::fade_of;
 use super::decode::{Decoded, N_PARAMS, decode, decode_backward, group};
 use super::draw::Machine;
 use super::lane::{Lane, Wide, each};
@@ -217,7 +217,7 @@ impl UpdateJob<'_> {
         for (lane, &id) in ids.iter().enumerate() {
             let mut grad: [f64; 6] = core::array::from_fn(|i| f64::from(work.pose_grads[i].0[lane]));
             let header = &self.fixed.headers[id as usize / self.fixed.k];
-            let fade = band_fade_of(header, &self.view.keyframes[header.keyframe_row as usize]);
+            let fade = fade_of(header, &self.view.keyframes[header.keyframe_row as usize]);
             // dL/d(ln opacity) = -(sum dL/dq), because alpha = opacity exp(-q).
             let by_log_opacity = -work.splat_grads[0].0[lane];
             for i in 0..3 {

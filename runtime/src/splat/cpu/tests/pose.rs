@@ -25,28 +25,32 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// Two keyframes that are moved, turned and scaled, anchors of two levels on both sides of the border between them,
-    /// some beyond the picture's border where the projection is linearised elsewhere, and a sky full of waves.
+    /// Three keyframes that are moved, turned and scaled, one of which looks at the place from the side, anchors of two levels
+    /// on both sides of the border between them, some beyond the picture's border where the projection is linearised elsewhere, and a sky full of waves.
     pub fn new(learned_decoder: bool) -> Self {
         let (mut headers, params) = anchors(N_ANCHORS, 77);
         for (i, header) in headers.iter_mut().enumerate() {
-            header.keyframe_row = (i % 2) as u32;
+            header.keyframe_row = (i % 3) as u32;
             header.level = (i / 2 % 2) as u8;
             if i % 6 == 5 {
                 header.position_in_keyframe_m[0] = 0.75 * header.position_in_keyframe_m[2];
                 header.log_extent = [-0.4; 3];
             }
         }
+        let rotation = UnitQuaternion::from_euler_angles(0.1, 0.4, -0.2);
+        let from_the_side = rotation * UnitQuaternion::from_euler_angles(0.0, 1.5, 0.0);
+        let place_m = Vector3::new(30.0, -2.0, 55.0) + rotation * Vector3::new(0.0, 0.0, 20.0);
         let placements = vec![
-            KeyframePlacement {
-                rotation: UnitQuaternion::from_euler_angles(0.1, 0.4, -0.2),
-                translation_m: Vector3::new(30.0, -2.0, 55.0),
-                scale: 5.0,
-            },
+            KeyframePlacement { rotation, translation_m: Vector3::new(30.0, -2.0, 55.0), scale: 5.0 },
             KeyframePlacement {
                 rotation: UnitQuaternion::from_euler_angles(0.12, 0.38, -0.2),
                 translation_m: Vector3::new(30.4, -2.1, 54.0),
                 scale: 4.6,
+            },
+            KeyframePlacement {
+                rotation: from_the_side,
+                translation_m: place_m - from_the_side * Vector3::new(0.0, 0.0, 20.0),
+                scale: 5.0,
             },
         ];
         let map_from_camera = Rigid::from_parts(Translation3::new(30.2, -1.9, 54.7), placements[0].rotation)
@@ -79,7 +83,7 @@ impl Problem {
         Capacities {
             pairs: usual.pairs * 16,
             row_entries: usual.row_entries * 8,
-            keyframe_rows: 2,
+            keyframe_rows: 3,
             learned_decoder: self.map.decoder.is_some(),
             ..usual
         }
@@ -189,6 +193,11 @@ fn every_part_of_the_problem_is_seen() {
     let mut one_level = Problem::new(true);
     one_level.map.headers.iter_mut().for_each(|header| header.level = 0);
     assert!(errors(&one_level.differences(&L1), &all)[1] > 0.05, "levels fade");
+    let drawn = problem.map.draw(&problem.view).contributions;
+    let is_drawn = |slot: usize| drawn.iter().flatten().any(|(id, _)| id / K == slot);
+    let shown = problem.map.headers.iter().enumerate().filter(|(slot, _)| is_drawn(*slot));
+    let side_opacities = shown.map(|(_, header)| problem.map.side_opacity(header, &problem.view));
+    assert!(side_opacities.filter(|opacity| (0.05..0.95).contains(opacity)).count() > 1, "sides fade");
     assert!(problem.map.draw(&problem.view).contributions.iter().flatten().count() > 1000);
 }
 

@@ -9,6 +9,7 @@ use crate::splat::cpu::update::anisotropy;
 use crate::splat::*;
 use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, decode_residual};
 use kilogs_core::map::lod::{BAND_OVERLAP_RATIO, BAND_STARTS_M};
+use kilogs_core::map::side::SIDE_FADE_COSINE;
 use nalgebra::{Matrix3, Vector3};
 use zerocopy::IntoBytes;
 
@@ -54,10 +55,11 @@ impl Map {
             let position = header.position_in_keyframe_m.map(f64::from);
             let anchor = AnchorLanes { position, extent: header.log_extent.map(|v| f64::from(v).exp()) };
             let distance_m = (placement.0 * Vector3::from(position) + placement.1).norm();
+            let visibility = band_opacity(header.level, distance_m) * self.side_opacity(header, view);
             for (i, numbers) in numbers.iter().take(usize::from(header.n_gaussians)).enumerate() {
                 let gaussian = decode(&anchor, numbers);
                 let projected = project(&constants, &lanes(&placement), &gaussian);
-                let opacity = gaussian.opacity * band_opacity(header.level, distance_m);
+                let opacity = gaussian.opacity * visibility;
                 let splat = Splat { id: slot * self.k + i, projected, opacity, color: gaussian.color };
                 if splat.meets(view) {
                     isotropy += anisotropy(&[0, 1, 2].map(|i| numbers[group::LOG_SCALE + i])).0;
@@ -76,6 +78,14 @@ impl Map {
             self.draw_pixel(&splats, &rays, pixel, &mut picture);
         }
         picture
+    }
+
+    /// [`kilogs_core::map::side::side_opacity`] in f64.
+    pub fn side_opacity(&self, header: &AnchorHeader, view: &View) -> f64 {
+        let (linear, translation) = self.camera_from_keyframe(header, view);
+        let from_keyframe = linear * Vector3::from(header.position_in_keyframe_m.map(f64::from));
+        let cosine = from_keyframe.normalize().dot(&(from_keyframe + translation).normalize());
+        (0.5 + 0.5 * cosine / f64::from(SIDE_FADE_COSINE)).clamp(0.0, 1.0)
     }
 
     fn draw_pixel(&self, splats: &[Splat], rays: &Rays, pixel: [f64; 2], picture: &mut Picture) {

@@ -142,6 +142,24 @@ fn levels_fade_as_on_the_cpu() {
 }
 
 #[test]
+fn sides_fade_as_on_the_cpu() {
+    // Keyframes around what they see: one as the camera, one from the side, one from behind.
+    let around = Scene::new(70, 45).with(|scene| {
+        let middle_m = Vector3::new(0.0, 0.0, 4.0);
+        for (row, (placement, turn_rad)) in scene.placements.iter_mut().zip([0.0, 1.5, 2.6]).enumerate() {
+            placement.rotation = UnitQuaternion::from_euler_angles(0.0, turn_rad, 0.0);
+            placement.translation_m = middle_m - placement.rotation * middle_m;
+            scene.headers.iter_mut().skip(row).step_by(3).for_each(|header| header.keyframe_row = row as u32);
+        }
+    });
+    let stats = around.check("keyframes around");
+    assert!(
+        (N_ANCHORS as u32 / 2..2 * N_ANCHORS as u32).contains(&stats.visible),
+        "some are seen from behind: {stats:?}"
+    );
+}
+
+#[test]
 fn pictures_of_any_size_are_those_of_the_cpu() {
     for (width, height) in [(1, 1), (1, 40), (40, 1), (15, 17), (16, 16), (33, 31)] {
         Scene::new(width, height).check(&format!("{width}x{height}"));

@@ -1,0 +1,21 @@
+//! Whom an anchor is shown to: who comes from behind it sees nothing of it, and needs one of his own.
+
+use super::mapper::Mapper;
+use super::pages::PAGE_KEYFRAMES;
+use kilogs_core::map::voxel::VoxelKey;
+use nalgebra::Vector3;
+
+impl Mapper {
+    /// Whether the anchor in a slot shows its better half to who looks at its voxel from a place in the map, m.
+    pub(super) fn is_shown_to(&self, slot: u32, voxel: VoxelKey, position_m: &Vector3<f64>) -> bool {
+        let keyframe_in_map_m = self.ordinal_in(slot).and_then(|ordinal| self.keyframe_in_map_m(ordinal));
+        let center_m = Vector3::from(voxel.center_in_map_m());
+        keyframe_in_map_m.is_none_or(|keyframe_m| (center_m - keyframe_m).dot(&(center_m - position_m)) >= 0.0)
+    }
+
+    /// Where a keyframe is that the page directory knows, m.
+    pub(super) fn keyframe_in_map_m(&self, ordinal: u32) -> Option<Vector3<f64>> {
+        let group = self.paging.directory.get(ordinal / PAGE_KEYFRAMES)?;
+        Some(group.placement(ordinal)?.translation_m)
+    }
+}
