@@ -23,6 +23,8 @@ pub struct InsertionSettings {
     pub samples_per_pixel: f32,
     /// Probability of a pixel through which the background shows wholly, so that flat surfaces are covered; [0, 1].
     pub bare_probability: f32,
+    /// Nothing but what the background shows through: what covers the rest is right.
+    pub only_bare: bool,
     /// Weight of the difference of brightness between picture and map, at least 0. Ours: a moved or repainted
     /// surface has the structure it should have, in the wrong place.
     pub error_weight: f32,
@@ -40,6 +42,7 @@ impl InsertionSettings {
         depth_edge_weight: 0.1,
         samples_per_pixel: 0.01,
         bare_probability: 0.4,
+        only_bare: false,
         error_weight: 1.0,
         sigma_per_spacing: 0.5,
     };
@@ -213,6 +216,7 @@ pub fn sample(
         let is_candidate = kept != 0 && at(images.confidence) > 0.0;
         // At random, every pixel asks for all that it can get.
         let asked = match settings.operator {
+            _ if settings.only_bare => bare,
             StructureOperator::Random => 1.0,
             _ => ((seen - rendered).max(0.0) + bare + wrong).min(1.0),
         };

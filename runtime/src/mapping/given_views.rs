@@ -41,6 +41,8 @@ impl Mapper {
     /// Inserts all that pictures ask for: given views are no route.
     pub fn lift_quota(&mut self) {
         self.quota = GaussianQuota::unlimited();
+        // None of them is of an earlier drive.
+        self.settings.first_view_m = 0.0;
     }
 
     /// Looks at a keyframe's image again without inserting from it: what is revisited next compares itself with it.

@@ -31,9 +31,10 @@ impl Mapper {
         points: &[KeyframePoint],
         road: Option<RoadPlane>,
     ) -> InsertReport {
-        let Some(ordinal) = self.images.newest(age).map(|kept| kept.keyframe.ordinal) else {
+        let Some(keyframe) = self.images.newest(age).map(|kept| kept.keyframe) else {
             return InsertReport::default();
         };
+        let (ordinal, settings) = (keyframe.ordinal, self.insertion_for(&keyframe.world_from_camera));
         let from_stereo = self.estimate_depth(age, source_ages, points, road);
         if from_stereo {
             let ImageScratch { inverse_depth, confidence, .. } = &self.scratch;
@@ -56,7 +57,7 @@ impl Mapper {
         };
         let memory = SamplingScratch { probability: &mut scratch.probability, kept: &mut scratch.kept };
         let most_samples = self.quota.available() as f32;
-        let drawn = sample(&images, &self.settings.insertion, most_samples, &mut rng, memory, &mut scratch.samples);
+        let drawn = sample(&images, &settings, most_samples, &mut rng, memory, &mut scratch.samples);
         let mut report = self.spawn_samples(age, drawn.n_samples);
         self.quota.spend(report.n_gaussians);
         report.n_samples = drawn.n_samples as u32;

@@ -171,6 +171,8 @@ pub struct Mapper {
     pub(super) background_of_chunk: Option<u32>,
     pub(super) decoders: ChunkDecoders,
     pub(super) alignment: Alignment,
+    /// Newest keyframe when a loop was closed last.
+    pub(super) tied_at: Option<u32>,
     pub(super) counters: MapCounters,
     pub(super) list_load: ListLoad,
 }
@@ -207,6 +209,7 @@ impl Mapper {
             background_of_chunk: None,
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             alignment: Alignment::with_capacity(capacity.alignment_steps),
+            tied_at: None,
             counters: MapCounters::default(),
             list_load: ListLoad::default(),
         }

@@ -23,6 +23,7 @@ mod prune;
 mod realign;
 mod scratch;
 mod resume;
+mod revisit;
 mod settings;
 mod shrink;
 mod sides;

@@ -1,8 +1,8 @@
 //! Training steps: which keyframe is looked at next.
 
-use super::mapper::{CHUNK_KEYFRAMES, Mapper};
+use super::mapper::Mapper;
 use super::settings::MapperSettings;
-use crate::splat::{ChunkRows, StepSettings, TargetImage, TrainingView, View};
+use crate::splat::{StepSettings, TargetImage, TrainingView, View};
 use kilogs_core::math::Rng;
 
 /// What the steps achieved.
@@ -74,18 +74,6 @@ impl Mapper {
         report.mean_psnr_db = psnr_sum_db / report.n_iterations.max(1) as f32;
         self.counters.iterations += u64::from(report.n_iterations);
         report
-    }
-
-    /// Rows of the chunks that are finished: all but the newest one and the one before it.
-    ///
-    /// What was mapped on an earlier drive along the street is shown and stays as it is. Its own views are not there to be
-    /// trained with, and before a loop is closed the new ones are metres off: they would overwrite it.
-    fn finished_chunks(&self) -> ChunkRows {
-        let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal / CHUNK_KEYFRAMES);
-        let chunk_rows = &self.paging.chunk_rows;
-        let earlier = chunk_rows.ids().filter(|chunk| chunk + 1 < newest);
-        let rows = earlier.filter_map(|chunk| chunk_rows.row(chunk)).filter_map(|row| u16::try_from(row).ok());
-        rows.fold(ChunkRows::NONE, ChunkRows::with)
     }
 
     /// Ages of keyframes before the window whose anchors are still resident.

@@ -14,7 +14,7 @@ use kilogs_core::map::voxel::VoxelKey;
 use nalgebra::{Translation3, Vector3};
 
 /// Keyframes so far apart are of two drives along a street.
-const OTHER_DRIVE_KEYFRAMES: u32 = 50;
+pub(super) const OTHER_DRIVE_KEYFRAMES: u32 = 50;
 
 impl Mapper {
     /// How loops had moved keyframes when they were asked last: packets have to be where that puts them.
@@ -24,6 +24,7 @@ impl Mapper {
 
     /// Moves everything in memory from where the last alignment put it to where this one does.
     pub fn realign(&mut self, alignment: &Alignment) {
+        let was_astray = self.was_astray(alignment);
         let Self { alignment: before, paging, images, .. } = self;
         let moved = |ordinal: u32| alignment.at(ordinal) * before.at(ordinal).inverse();
         paging.directory.iter_mut().for_each(|group| group.move_keyframes(moved));
@@ -39,6 +40,10 @@ impl Mapper {
             }
         }
         self.revoxelize();
+        self.tied_at = self.images.newest(0).map(|kept| kept.keyframe.ordinal);
+        if was_astray {
+            self.map_anew();
+        }
     }
 
     /// Looks up the voxel of every anchor anew, batch by batch.

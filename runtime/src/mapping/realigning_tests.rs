@@ -105,3 +105,48 @@ fn the_later_of_two_drives_gives_way_where_both_are_in_one_place() {
     assert_eq!(mapper.pool.n_live(), mapper.n_resident_anchors());
     assert_eq!(mapper.grid.len() as u32, mapper.n_resident_anchors(), "one voxel, one anchor");
 }
+
+#[test]
+fn what_was_mapped_astray_ends_when_a_loop_puts_it_right() {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    // Two chunks later the street is seen again, and odometry puts it 3 m aside.
+    let aside = Rigid::translation(3.0, 0.0, 0.0);
+    for ordinal in (0..6).chain(200..206) {
+        let z_m = STEP_M * f64::from(ordinal % 200);
+        let pixels = picture(z_m);
+        let street = Rigid::translation(0.0, 0.0, z_m);
+        let world_from_camera = if ordinal < 200 { street } else { aside * street };
+        let seen = KeyframePacket { world_from_camera, ..packet(ordinal, &pixels) };
+        mapper.insert_keyframe(&seen, &mut sink).expect("a usable keyframe");
+        mapper.optimize(2);
+    }
+    let n_of = |mapper: &Mapper, later: bool| {
+        mapper.pool.iter().filter(|(_, record)| (record.keyframe_ordinal >= 200) == later).count()
+    };
+    let [n_earlier, n_later] = [false, true].map(|later| n_of(&mapper, later));
+    let mut blurred = Alignment::default();
+    blurred.push(200, Similarity::from_isometry(Rigid::translation(-0.1, 0.0, 0.0), 1.0));
+    mapper.realign(&blurred);
+    assert!(n_of(&mapper, true) > n_later * 9 / 10, "steps mend 0.1 m");
+    let mut alignment = Alignment::default();
+    alignment.push(200, Similarity::from_isometry(aside.inverse(), 1.0));
+    mapper.realign(&alignment);
+    let anew = n_of(&mapper, true);
+    assert!(anew < n_later / 4, "{n_later} anchors that were astray became {anew}");
+    assert_eq!(n_of(&mapper, false), n_earlier, "what is finished stays");
+    assert_eq!(mapper.grid.len() as u32, mapper.n_resident_anchors(), "one voxel, one anchor");
+}
+
+#[test]
+fn an_anchor_is_shown_to_who_is_on_the_side_of_its_keyframe() {
+    let mapper = driven();
+    let mut n_anchors = 0;
+    for (handle, record) in mapper.pool.iter() {
+        let keyframe_m = mapper.keyframe_in_map_m(record.keyframe_ordinal).expect("a keyframe in memory");
+        let center_m = Vector3::from(record.voxel.center_in_map_m());
+        assert!(mapper.is_shown_to(handle.slot, record.voxel, &keyframe_m));
+        assert!(!mapper.is_shown_to(handle.slot, record.voxel, &(2.0 * center_m - keyframe_m)), "from behind");
+        n_anchors += 1;
+    }
+    assert!(n_anchors > 100);
+}

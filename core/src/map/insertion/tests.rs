@@ -22,10 +22,23 @@ fn structure(luma: &[f32]) -> Vec<f32> {
 }
 
 fn drawn(seen: &[f32], rendered: &[f32], transmittance: f32, confidence: &[f32]) -> Vec<InsertionSample> {
-    drawn_within(f32::INFINITY, (seen, rendered), transmittance, confidence)
+    drawn_with(SETTINGS, f32::INFINITY, (seen, rendered), transmittance, confidence)
 }
 
+const SETTINGS: InsertionSettings =
+    InsertionSettings { bare_probability: 0.2, error_weight: 0.0, ..InsertionSettings::MEASURED };
+
 fn drawn_within(
+    most_samples: f32,
+    images: (&[f32], &[f32]),
+    transmittance: f32,
+    confidence: &[f32],
+) -> Vec<InsertionSample> {
+    drawn_with(SETTINGS, most_samples, images, transmittance, confidence)
+}
+
+fn drawn_with(
+    settings: InsertionSettings,
     most_samples: f32,
     (seen, rendered): (&[f32], &[f32]),
     transmittance: f32,
@@ -45,7 +58,6 @@ fn drawn_within(
     };
     let mut samples = vec![InsertionSample::default(); n];
     let scratch = SamplingScratch { probability: &mut vec![0.0; n], kept: &mut vec![0; n] };
-    let settings = InsertionSettings { bare_probability: 0.2, error_weight: 0.0, ..InsertionSettings::MEASURED };
     let found = sample(&images, &settings, most_samples, &mut Rng::new(1, 2, 3), scratch, &mut samples);
     samples.truncate(found.n_samples);
     samples
@@ -66,6 +78,15 @@ fn a_map_that_shows_the_image_asks_for_nothing_and_an_empty_one_for_the_edges() 
     let edges = drawn(&image, &vec![0.1; SIZE.n_pixels()], 0.0, &sure);
     assert!(edges.len() > 4, "{} samples", edges.len());
     assert!(edges.iter().all(|s| (15..35).contains(&s.x) && (5..25).contains(&s.y)), "{edges:?}");
+}
+
+#[test]
+fn where_only_what_is_bare_counts_edges_that_the_map_lacks_are_left_out() {
+    let (image, plain, sure) = (square(), vec![0.1; SIZE.n_pixels()], vec![1.0; SIZE.n_pixels()]);
+    let only_bare = InsertionSettings { only_bare: true, error_weight: 1.0, ..SETTINGS };
+    let drawn = |transmittance| drawn_with(only_bare, f32::INFINITY, (&image, &plain), transmittance, &sure);
+    assert_eq!(drawn(0.0), []);
+    assert!(drawn(1.0).len() > 10, "{} samples", drawn(1.0).len());
 }
 
 #[test]
