@@ -22,8 +22,9 @@ impl Mapper {
         &self.alignment
     }
 
-    /// Moves everything in memory from where the last alignment put it to where this one does.
-    pub fn realign(&mut self, alignment: &Alignment) {
+    /// Moves everything in memory from where the last alignment put it to where this one does. Whether what was mapped last
+    /// was astray: then [`map_anew`](Self::map_anew).
+    pub fn realign(&mut self, alignment: &Alignment) -> bool {
         let was_astray = self.was_astray(alignment);
         let Self { alignment: before, paging, images, .. } = self;
         let moved = |ordinal: u32| alignment.at(ordinal) * before.at(ordinal).inverse();
@@ -41,9 +42,7 @@ impl Mapper {
         }
         self.revoxelize();
         self.tied_at = self.images.newest(0).map(|kept| kept.keyframe.ordinal);
-        if was_astray {
-            self.map_anew();
-        }
+        was_astray
     }
 
     /// Looks up the voxel of every anchor anew, batch by batch.

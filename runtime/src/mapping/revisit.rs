@@ -68,7 +68,7 @@ impl Mapper {
     }
 
     /// Ends what keyframes spawned that look at finished chunks, and inserts as much from their pictures anew.
-    pub(super) fn map_anew(&mut self) {
+    pub fn map_anew(&mut self) {
         let (mut n_freed, mut n_keyframes) = (0.0, 0.0);
         for age in 0..self.images.len() {
             if let Some(ordinal) = self.seen_before(age) {

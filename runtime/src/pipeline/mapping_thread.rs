@@ -174,11 +174,7 @@ impl MappingWork {
         let unaligned = self.resume.as_ref().map_or(unaligned, |resume| resume.in_map(&unaligned));
         let started = Instant::now();
         if !job.is_held_out {
-            // In lock-step nothing moves between two keyframes: whatever was to, has.
-            let alignment = self.alignment.lock();
-            if *alignment != *self.mapper.alignment() {
-                self.mapper.realign(&alignment);
-            }
+            self.realign();
         }
         let report = self.align(&unaligned, job);
         job.times.add(Stage::Insertion, milliseconds(started.elapsed()));
@@ -212,6 +208,17 @@ impl MappingWork {
             job.times.add(Stage::Mapping, milliseconds(started.elapsed()));
         }
         true
+    }
+
+    /// Follows the loops. In lock-step nothing moves between two keyframes: whatever was to, has.
+    fn realign(&mut self) {
+        let alignment = self.alignment.lock();
+        let was_astray = *alignment != *self.mapper.alignment() && self.mapper.realign(&alignment);
+        // Whoever closes loops does not wait for what takes the time of some keyframes.
+        drop(alignment);
+        if was_astray {
+            self.mapper.map_anew();
+        }
     }
 
     /// A view where loops have put it by now, with what hangs on it in metres of the map.
