@@ -131,7 +131,7 @@ pub struct MapCounters {
     pub refused: MapRefusals<u64>,
     /// Largest number of anchors that lived at once.
     pub anchors_resident_peak: u64,
-    /// Anchors that ended because all their Gaussians were faint or oversized.
+    /// Anchors that ended because all their Gaussians were faint or oversized, or their keyframe was astray.
     pub anchors_pruned: u64,
     /// Anchors handed to the sink.
     pub anchors_stored: u64,

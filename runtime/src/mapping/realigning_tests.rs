@@ -29,6 +29,21 @@ fn driven() -> Mapper {
     mapper
 }
 
+/// A mapper that has driven a street twice, the second time beside it, with keyframes from `again_from` on.
+fn driven_again(again_from: u32, aside: &Rigid) -> Mapper {
+    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
+    for ordinal in (0..N_KEYFRAMES).chain(again_from..again_from + N_KEYFRAMES) {
+        let z_m = STEP_M * f64::from(ordinal % again_from);
+        let pixels = picture(z_m);
+        let street = Rigid::translation(0.0, 0.0, z_m);
+        let world_from_camera = if ordinal < again_from { street } else { aside * street };
+        let seen = KeyframePacket { world_from_camera, ..packet(ordinal, &pixels) };
+        mapper.insert_keyframe(&seen, &mut sink).expect("a usable keyframe");
+        mapper.optimize(2);
+    }
+    mapper
+}
+
 /// A correction of everything from a keyframe on.
 fn from(first_keyframe_id: u32) -> Alignment {
     let mut alignment = Alignment::default();
@@ -83,18 +98,9 @@ fn what_was_moved_twice_is_where_the_second_time_puts_it_and_back_is_back() {
 
 #[test]
 fn the_later_of_two_drives_gives_way_where_both_are_in_one_place() {
-    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
     // Keyframes 60 to 65 see the street of 0 to 5 again, and odometry puts them 20 m aside.
     let aside = Rigid::translation(20.0, 0.0, 0.0);
-    for ordinal in (0..6).chain(60..66) {
-        let z_m = STEP_M * f64::from(ordinal % 60);
-        let pixels = picture(z_m);
-        let street = Rigid::translation(0.0, 0.0, z_m);
-        let world_from_camera = if ordinal < 60 { street } else { aside * street };
-        let seen = KeyframePacket { world_from_camera, ..packet(ordinal, &pixels) };
-        mapper.insert_keyframe(&seen, &mut sink).expect("a usable keyframe");
-        mapper.optimize(2);
-    }
+    let mut mapper = driven_again(60, &aside);
     let before = mapper.n_resident_anchors();
     let mut alignment = Alignment::default();
     alignment.push(60, Similarity::from_isometry(aside.inverse(), 1.0));
@@ -108,18 +114,9 @@ fn the_later_of_two_drives_gives_way_where_both_are_in_one_place() {
 
 #[test]
 fn what_was_mapped_astray_ends_when_a_loop_puts_it_right() {
-    let (mut mapper, mut sink) = (mapper(1, 16_384), MemorySink::default());
     // Two chunks later the street is seen again, and odometry puts it 3 m aside.
     let aside = Rigid::translation(3.0, 0.0, 0.0);
-    for ordinal in (0..6).chain(200..206) {
-        let z_m = STEP_M * f64::from(ordinal % 200);
-        let pixels = picture(z_m);
-        let street = Rigid::translation(0.0, 0.0, z_m);
-        let world_from_camera = if ordinal < 200 { street } else { aside * street };
-        let seen = KeyframePacket { world_from_camera, ..packet(ordinal, &pixels) };
-        mapper.insert_keyframe(&seen, &mut sink).expect("a usable keyframe");
-        mapper.optimize(2);
-    }
+    let mut mapper = driven_again(200, &aside);
     let n_of = |mapper: &Mapper, later: bool| {
         mapper.pool.iter().filter(|(_, record)| (record.keyframe_ordinal >= 200) == later).count()
     };

@@ -51,7 +51,7 @@ impl Mapper {
     /// that is, what looks wrong is inserted too.
     pub(super) fn insertion_for(&self, world_from_camera: &Rigid) -> InsertionSettings {
         let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal);
-        let is_tied = self.tied_at.is_some_and(|tied_at| newest < tied_at + OTHER_DRIVE_KEYFRAMES);
+        let is_tied = self.tied_at.is_some_and(|tied_at| newest < tied_at.saturating_add(OTHER_DRIVE_KEYFRAMES));
         InsertionSettings { only_bare: is_tied && self.was_seen_before(world_from_camera), ..self.settings.insertion }
     }
 
