@@ -14,6 +14,7 @@ use crate::splat::{
     KeyframePlacement, MemoryRow, RenderStats, RenderTarget, ScoreReport, SplatBackend, StageClock, StageTimes,
     StepReport, StepSettings, TrainingView, View,
 };
+use std::ops::Range;
 use zerocopy::IntoBytes;
 
 /// Splatting on a device.
@@ -153,6 +154,20 @@ fn next_of_run(slots: &[u32], first: usize, len: usize) -> Option<usize> {
     (len < SLOTS_PER_UPLOAD && slots.get(first + len) == Some(&next)).then_some(first + len)
 }
 
+/// Runs of consecutive slots that are used, each with its place among `slots`: they come from the device together.
+fn neighbours(slots: &[u32], is_used: impl Fn(u32) -> bool) -> impl Iterator<Item = (Range<usize>, &[u32])> {
+    let is_used = move |index: usize| is_used(slots[index]);
+    let mut first = 0;
+    core::iter::from_fn(move || {
+        first = (first..slots.len()).find(|&index| is_used(index))?;
+        let follows = |&index: &usize| slots[index - 1].checked_add(1) == Some(slots[index]) && is_used(index);
+        let end = first + 1 + (first + 1..slots.len()).take_while(follows).count();
+        let run = first..end;
+        first = end;
+        Some((run.clone(), &slots[run]))
+    })
+}
+
 /// Bytes of [`Buffer::FeatureMoments`] per slot.
 const FEATURE_MOMENT_BYTES: usize = FEATURE_MOMENTS * size_of::<f32>();
 
@@ -185,14 +200,16 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
     }
 
     fn read_anchors(&self, slots: &[u32], headers: &mut [AnchorHeader], params: &mut [GaussianParams]) -> usize {
-        let mut missing = slots.len();
         let k = self.capacities.gaussians_per_anchor;
-        for ((&slot, header), params) in slots.iter().zip(headers).zip(params.chunks_mut(k)) {
-            let Some(found) = self.slots.header(slot).filter(|_| params.len() == k) else { continue };
-            let at = slot as usize * size_of_val(params);
+        let mut missing = slots.len();
+        for (range, run) in neighbours(slots, |slot| self.slots.header(slot).is_some()) {
+            let (headers, params) = (headers.get_mut(range.clone()), params.get_mut(range.start * k..range.end * k));
+            let (Some(headers), Some(params)) = (headers, params) else { continue };
+            let at = run[0] as usize * k * size_of::<GaussianParams>();
             if self.device.call(|e| e.download(Buffer::Params, at, params.as_mut_bytes())) {
-                *header = *found;
-                missing -= 1;
+                let found = run.iter().filter_map(|&slot| self.slots.header(slot));
+                headers.iter_mut().zip(found).for_each(|(header, found)| *header = *found);
+                missing -= run.len();
             }
         }
         missing
@@ -207,13 +224,15 @@ impl<E: Executor> SplatBackend for DeviceBackend<E> {
     }
 
     fn read_features(&self, slots: &[u32], features: &mut [AnchorFeature]) -> usize {
-        let read = slots.iter().zip(features).filter_map(|(&slot, feature)| {
-            let at = slot as usize * size_of_val(feature);
-            let read = self.has_feature(slot)
-                && self.device.call(|e| e.download(Buffer::Features, at, feature.as_mut_bytes()));
-            read.then_some(())
-        });
-        slots.len() - read.count()
+        let mut missing = slots.len();
+        for (range, run) in neighbours(slots, |slot| self.has_feature(slot)) {
+            let Some(features) = features.get_mut(range) else { continue };
+            let at = run[0] as usize * size_of::<AnchorFeature>();
+            if self.device.call(|e| e.download(Buffer::Features, at, features.as_mut_bytes())) {
+                missing -= run.len();
+            }
+        }
+        missing
     }
 
     fn retire_anchors(&mut self, slots: &[u32]) -> usize {
