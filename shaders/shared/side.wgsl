@@ -8,12 +8,12 @@ fn side_cosine(placement: KeyframeBlock, at: vec3<f32>) -> f32 {
 
 // How much of its opacity an anchor keeps by that cosine.
 fn side_opacity(cosine: f32) -> f32 {
-    return clamp(0.5 + 0.5 * cosine / SIDE_FADE_COSINE, 0.0, 1.0);
+    return clamp(0.5 + 0.5 * (cosine - SIDE_BORDER_COSINE) / SIDE_FADE_COSINE, 0.0, 1.0);
 }
 
 // Change of `side_opacity` with the cosine.
 fn side_opacity_slope(cosine: f32) -> f32 {
-    return select(0.0, 0.5 / SIDE_FADE_COSINE, abs(cosine) < SIDE_FADE_COSINE);
+    return select(0.0, 0.5 / SIDE_FADE_COSINE, abs(cosine - SIDE_BORDER_COSINE) < SIDE_FADE_COSINE);
 }
 
 // Share of its opacity that an anchor keeps at its distance from the camera and on its side.

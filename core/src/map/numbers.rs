@@ -9,9 +9,10 @@ pub const N_LEVELS: usize = 5;
 pub const BAND_STARTS_M: [f32; N_LEVELS] = [0.0, 20.0, 40.0, 80.0, 160.0];
 /// Half width of the zone around a band's border in which both levels exist, relative to the border's distance.
 pub const BAND_OVERLAP_RATIO: f32 = 0.05;
-/// Around a right angle between the rays to an anchor from its keyframe and from the camera, half the width of the zone in
-/// which it fades, as a cosine: whole within 78 degrees, gone beyond 102. A camera that passes an anchor sees it from half
-/// its own angle of view at most.
+/// Cosine of the angle between the rays to an anchor from its keyframe and from the camera at which half of it is left: 60
+/// degrees. A camera that passes an anchor sees it from half its own angle of view at most.
+pub const SIDE_BORDER_COSINE: f32 = 0.5;
+/// Half the width of the zone around that in which it fades, as a cosine: whole within 46 degrees, gone beyond 72.
 pub const SIDE_FADE_COSINE: f32 = 0.2;
 
 /// Features of an anchor.

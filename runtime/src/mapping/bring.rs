@@ -155,9 +155,9 @@ impl Mapper {
         };
         if let Some(view) = view
             && view.background_width as usize == BACKGROUND_COLUMNS
-            && view.read_background(&mut self.background) == BACKGROUND_TEXELS
+            && view.read_background(&mut self.sky.texels) == BACKGROUND_TEXELS
         {
-            self.backend.write_background(row, &self.background);
+            self.backend.write_background(row, &self.sky.texels);
         }
         if self.decoders.is_learned() {
             self.backend.write_decoder(row, self.decoders.weights());

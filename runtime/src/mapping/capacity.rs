@@ -1,6 +1,7 @@
 //! How large a mapper is: fixed before it starts.
 
 use super::pages::PageGroup;
+use super::sky::Sky;
 use crate::splat::{BACKGROUND_TEXELS, DecoderShape};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::aggregate;
@@ -82,7 +83,7 @@ pub fn workspace_bytes(camera: &Pinhole, gaussians_per_anchor: usize) -> usize {
         + aggregate::scratch_len(half_width) * size_of::<u16>();
     // Color, depth, transmittance, luma, error, two structures, two edges, probability, inverse depth, confidence, blur.
     let insertion = n_pixels(camera) * (12 + 12 * size_of::<f32>() + 1);
-    stereo + insertion + chunk_file_bytes(gaussians_per_anchor)
+    stereo + insertion + chunk_file_bytes(gaussians_per_anchor) + Sky::BYTES
 }
 
 fn n_pixels(camera: &Pinhole) -> usize {

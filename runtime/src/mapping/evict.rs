@@ -63,7 +63,7 @@ impl Mapper {
     pub(super) fn write_chunk(&mut self, chunk: u32, sink: &mut dyn PageSink) -> Result<(), WriteRefusal> {
         // A chunk without a row has nothing that is not on disk.
         let Some(chunk_row) = self.row_of_chunk(chunk) else { return Ok(()) };
-        let is_read = self.backend.read_background(chunk_row, &mut self.background);
+        let is_read = self.backend.read_background(chunk_row, &mut self.sky.texels);
         debug_assert!(is_read, "chunk_row is a row");
         self.read_decoder(chunk);
         let label = ChunkLabel {
@@ -72,7 +72,7 @@ impl Mapper {
             last_keyframe_id: chunk * CHUNK_KEYFRAMES + CHUNK_KEYFRAMES - 1,
             revision: 0,
         };
-        let background = ChunkBackground { width: BACKGROUND_COLUMNS as u32, texels: &self.background };
+        let background = ChunkBackground { width: BACKGROUND_COLUMNS as u32, texels: &self.sky.texels };
         sink.write_chunk(label, self.decoders.stored(), background)
     }
 

@@ -4,6 +4,7 @@ use super::shrink::{luma, shrink};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::Rigid;
 use kilogs_core::frame::PixelFormat;
+use nalgebra::Vector2;
 
 /// A camera image as it was delivered.
 #[derive(Debug, Clone, Copy)]
@@ -126,6 +127,13 @@ pub struct KeptImage<'a> {
     pub luma: &'a [u8],
     /// Its place in the ring, which is also that of its exposure in the splat backend.
     pub place: usize,
+}
+
+/// Index of the pixel that contains a place on the image plane.
+pub(super) fn pixel_index(camera: &Pinhole, place_px: &Vector2<f64>) -> Option<usize> {
+    let is_inside = |place_px: f64, size_px: u32| (0.0..f64::from(size_px)).contains(&place_px);
+    let inside = is_inside(place_px.x, camera.width) && is_inside(place_px.y, camera.height);
+    inside.then(|| place_px.y as usize * camera.width as usize + place_px.x as usize)
 }
 
 #[cfg(test)]

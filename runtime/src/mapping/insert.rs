@@ -2,9 +2,9 @@
 
 use super::depth::DepthSource;
 use super::images::KeptImage;
-use super::mapper::{CHUNK_KEYFRAMES, InsertReport, Mapper};
+use super::mapper::{InsertReport, Mapper};
 use super::scratch::ImageScratch;
-use crate::splat::{AnchorHeader, BACKGROUND_COLUMNS, BACKGROUND_ROWS, RenderTarget, View, background_texel_direction};
+use crate::splat::{AnchorHeader, RenderTarget, View};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::map::depth::motion_stereo::MAX_SOURCES;
 use kilogs_core::map::depth::{DepthImage, DepthRequest, EarlierView};
@@ -31,16 +31,15 @@ impl Mapper {
         points: &[KeyframePoint],
         road: Option<RoadPlane>,
     ) -> InsertReport {
-        let Some(keyframe) = self.images.newest(age).map(|kept| kept.keyframe) else {
-            return InsertReport::default();
-        };
-        let (ordinal, settings) = (keyframe.ordinal, self.insertion_for(&keyframe.world_from_camera));
+        let kept = self.images.newest(age).filter(|_| !self.shows_nothing_new(age));
+        let Some(keyframe) = kept.map(|kept| kept.keyframe) else { return InsertReport::default() };
+        let (ordinal, settings) = (keyframe.ordinal, self.insertion_for(age));
         let from_stereo = self.estimate_depth(age, source_ages, points, road);
         if from_stereo {
             let ImageScratch { inverse_depth, confidence, .. } = &self.scratch;
             self.depths.keep(ordinal, inverse_depth, confidence, self.settings.trusted_depth_m);
+            self.look_at_sky(age);
         }
-        self.begin_background(age, from_stereo);
         let mean_transmittance = self.compare_with_map(age);
         let mut rng =
             Rng::new(self.settings.seed, u64::from(ordinal), SAMPLING + age as u64 + (u64::from(visit) << u32::BITS));
@@ -109,43 +108,6 @@ impl Mapper {
             }
         }
         from_stereo
-    }
-
-    /// Gives a new chunk its first background: the sky of this keyframe, and its mean where the keyframe does not
-    /// look. Only a keyframe with stereo knows what is sky.
-    fn begin_background(&mut self, age: usize, from_stereo: bool) {
-        let Some(kept) = self.images.newest(age) else { return };
-        let chunk = kept.keyframe.ordinal / CHUNK_KEYFRAMES;
-        // A chunk that is met again has its sky.
-        if !from_stereo || self.background_of_chunk >= Some(chunk) {
-            return;
-        }
-        let camera = self.images.camera();
-        let color_of = |index: usize| color_at(&kept, self.images.channels(), index);
-        let is_sky = |index: usize| self.scratch.inverse_depth[index] <= 0.0;
-        let n_pixels = self.scratch.size.n_pixels();
-        // Without any sky in view, the upper quarter of the image is the best guess.
-        let any_sky = (0..n_pixels).any(is_sky);
-        let (mut sum, mut n) = ([0.0f32; 3], 0u32);
-        for index in (0..n_pixels).filter(|&index| if any_sky { is_sky(index) } else { index < n_pixels / 4 }) {
-            for (sum, value) in sum.iter_mut().zip(color_of(index)) {
-                *sum += value;
-            }
-            n += 1;
-        }
-        let mean = sum.map(|sum| sum / n.max(1) as f32);
-        let camera_from_world = kept.keyframe.world_from_camera.inverse();
-        for (texel, color) in self.background.iter_mut().enumerate() {
-            let direction = background_texel_direction(texel % BACKGROUND_COLUMNS, texel / BACKGROUND_COLUMNS);
-            let ray = camera_from_world.rotation * direction.cast::<f64>();
-            let index = camera.project(&ray).and_then(|pixel| pixel_index(camera, pixel.x, pixel.y));
-            *color = index.filter(|&index| is_sky(index)).map_or(mean, color_of);
-        }
-        debug_assert_eq!(self.background.len(), BACKGROUND_COLUMNS * BACKGROUND_ROWS);
-        if let Some(chunk_row) = self.row_of_chunk(chunk) {
-            self.backend.write_background(chunk_row, &self.background);
-            self.background_of_chunk = Some(chunk);
-        }
     }
 
     /// Renders the map where the keyframe is and fills structures and edges of both pictures; mean transmittance.
@@ -310,16 +272,10 @@ fn slope(middle: f64, at: impl Fn(isize) -> Option<f64>) -> f64 {
 }
 
 /// Color of a pixel of a kept image, RGB in [0, 1].
-fn color_at(kept: &KeptImage<'_>, channels: usize, index: usize) -> [f32; 3] {
+pub(super) fn color_at(kept: &KeptImage<'_>, channels: usize, index: usize) -> [f32; 3] {
     match kept.pixels.get(index * channels..(index + 1) * channels) {
         Some(&[red, green, blue]) => [red, green, blue].map(|value| f32::from(value) / 255.0),
         Some(&[grey]) => [f32::from(grey) / 255.0; 3],
         _ => [0.5; 3],
     }
-}
-
-/// Index of the pixel that contains a place on the image plane.
-fn pixel_index(camera: &Pinhole, x_px: f64, y_px: f64) -> Option<usize> {
-    let inside = x_px >= 0.0 && y_px >= 0.0 && x_px < f64::from(camera.width) && y_px < f64::from(camera.height);
-    inside.then(|| y_px as usize * camera.width as usize + x_px as usize)
 }

@@ -94,3 +94,44 @@ fn a_page_buffer_that_holds_no_chunk_ends_the_run_and_the_smallest_of_a_budget_h
         assert!(fits || finished.unwrap_err().to_string().contains("store.page_anchors"));
     }
 }
+
+/// Makes the Gaussians of an anchor so wide and opaque.
+fn widen(mapper: &mut Mapper, slot: u32, sigma_m: f32) {
+    let (mut header, mut params) = ([NO_HEADER], [NO_GAUSSIAN; CAPACITY.gaussians_per_anchor]);
+    assert_eq!(mapper.backend.read_anchors(&[slot], &mut header, &mut params), 0);
+    for gaussian in &mut params[..usize::from(header[0].n_gaussians)] {
+        gaussian.offset = [0.0; 3];
+        gaussian.log_scale = header[0].log_extent.map(|log_extent_m| sigma_m.ln() - log_extent_m);
+        gaussian.opacity_logit = 2.0;
+    }
+    assert_eq!(mapper.backend.write_anchors(&[slot], &header, &params), 0);
+}
+
+/// The first anchor of a keyframe between so many metres down the street, in the camera's path.
+fn ahead(mapper: &Mapper, ordinal: u32, z_m: std::ops::Range<f64>) -> u32 {
+    let is_ahead = |[x_m, y_m, at_m]: [f64; 3]| z_m.contains(&at_m) && x_m.abs() < 3.0 && y_m.abs() < 2.0;
+    let mut anchors = mapper.pool.iter().filter(|(_, record)| record.keyframe_ordinal == ordinal);
+    let found = anchors.find(|(_, record)| record.voxel.level() == 0 && is_ahead(record.voxel.center_in_map_m()));
+    found.unwrap_or_else(|| panic!("keyframe {ordinal} sees nothing at {z_m:?}")).0.slot
+}
+
+#[test]
+fn what_fills_the_view_of_who_comes_near_ends_and_what_is_finished_stays() {
+    for (next, ends) in [(1, true), (3 * CHUNK_KEYFRAMES, false)] {
+        let (mut mapper, pixels) = (mapper(1, 16_384), picture(0.0));
+        mapper.insert_keyframe(&packet(0, &pixels), &mut MemorySink::default()).expect("a usable keyframe");
+        let pixels = picture(STEP_M);
+        mapper.insert_keyframe(&packet(1, &pixels), &mut MemorySink::default()).expect("a usable keyframe");
+        // From keyframe 0 they are slim enough: 1 m at more than 9 m, and 0.13 of the depth is half the picture.
+        let [near, far] = [ahead(&mapper, 0, 9.0..11.0), ahead(&mapper, 0, 15.0..19.0)];
+        for slot in [near, far] {
+            widen(&mut mapper, slot, 1.0);
+        }
+        let next =
+            KeyframePacket { world_from_camera: Rigid::translation(0.0, 0.0, STEP_M), ..packet(next.max(2), &pixels) };
+        mapper.insert_keyframe(&next, &mut MemorySink::default()).expect("a usable keyframe");
+        // A slot that is free may be taken again.
+        let lives = |slot: u32| mapper.ordinal_in(slot) == Some(0);
+        assert_eq!((lives(near), lives(far)), (!ends, true), "keyframe {}", next.ordinal);
+    }
+}

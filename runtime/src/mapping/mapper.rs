@@ -12,8 +12,9 @@ use super::scratch::{ImageScratch, NO_GAUSSIAN, Staging};
 use super::settings::MapperSettings;
 use super::shrink::mapping_camera;
 use super::sink::PageSink;
+use super::sky::Sky;
 use crate::map_store::{Alignment, MapStoreWriter, StoreError, WriteRefusal, is_held_out_frame};
-use crate::splat::{BACKGROUND_TEXELS, Exposure, GaussianParams, SplatBackend};
+use crate::splat::{Exposure, GaussianParams, SplatBackend};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::conventions::{Rigid, TimestampNs};
 use kilogs_core::map::insertion::MapImageSize;
@@ -165,15 +166,16 @@ pub struct Mapper {
     pub(super) paging: Paging,
     /// The Gaussians of an anchor on its way back.
     pub(super) returning: Box<[GaussianParams]>,
-    pub(super) background: Box<[[f32; 3]]>,
     pub(super) quota: GaussianQuota,
     route_measure: RouteMeasure,
-    pub(super) background_of_chunk: Option<u32>,
+    pub(super) sky: Sky,
     pub(super) decoders: ChunkDecoders,
     pub(super) alignment: Alignment,
     /// Newest keyframe when a loop was closed last.
     pub(super) tied_at: Option<u32>,
     pub(super) counters: MapCounters,
+    /// Steps that were asked for, taken or not: each draws its own numbers.
+    pub(super) n_draws: u64,
     pub(super) list_load: ListLoad,
 }
 
@@ -203,14 +205,14 @@ impl Mapper {
             staging: Staging::new(capacity.new_anchors, capacity.anchors, capacity.gaussians_per_anchor),
             paging: Paging::new(&capacity, &camera),
             returning: vec![NO_GAUSSIAN; capacity.gaussians_per_anchor].into(),
-            background: vec![[0.0; 3]; BACKGROUND_TEXELS].into(),
             quota: GaussianQuota::new(settings.gaussians_per_m, settings.first_view_m),
             route_measure: RouteMeasure::new(settings.first_view_m, native),
-            background_of_chunk: None,
+            sky: Sky::new(),
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             alignment: Alignment::with_capacity(capacity.alignment_steps),
             tied_at: None,
             counters: MapCounters::default(),
+            n_draws: 0,
             list_load: ListLoad::default(),
         }
     }
@@ -243,6 +245,7 @@ impl Mapper {
         self.begin_exposure();
         self.begin_decoder(packet.ordinal);
         self.prune_after_window();
+        self.prune_in_the_way();
         self.evict_far_pages(packet, sink);
         let mut report = InsertReport::default();
         if self.counters.keyframes == 1 {

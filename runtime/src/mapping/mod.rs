@@ -13,6 +13,7 @@ mod evict;
 mod fingerprint;
 mod given_views;
 mod images;
+mod in_the_way;
 mod insert;
 mod list_load;
 mod mapper;
@@ -28,6 +29,7 @@ mod settings;
 mod shrink;
 mod sides;
 mod sink;
+mod sky;
 
 pub use capacity::MapperCapacity;
 pub use given_views::GivenView;
@@ -37,7 +39,7 @@ pub use mapper::{CHUNK_KEYFRAMES, InsertReport, KeyframePacket, MapCounters, Map
 pub use optimize::{MAX_OLDER_VIEWS, OptimizeReport};
 pub use pages::PAGE_KEYFRAMES;
 pub use paging::TableLoad;
-pub(crate) use prune::{PruneLimits, keep_good, without_residual};
+pub(crate) use prune::{PruneLimits, keep_those, without_residual};
 pub use resume::first_keyframe_id_after;
 pub(crate) use scratch::{NO_GAUSSIAN, NO_HEADER};
 pub use settings::MapperSettings;

@@ -42,15 +42,16 @@ impl Mapper {
         if self.images.len() == 0 {
             return report;
         }
-        let mut rng = Rng::new(self.settings.seed, self.counters.iterations, VIEW_CHOICE);
+        let mut rng = Rng::new(self.settings.seed, self.n_draws, VIEW_CHOICE);
+        self.n_draws += u64::from(n_iterations);
         let older = self.choose_older(&mut rng);
         let window = self.settings.window.min(self.images.len());
         let decoder_row = self.learning_row();
         let settings = StepSettings { decoder_row, finished: self.finished_chunks(), ..self.settings.step };
         let mut psnr_sum_db = 0.0;
         for _ in 0..n_iterations {
-            let age = draw_age(&self.settings, window, &older, &mut rng);
-            let Some(kept) = self.images.newest(age) else { continue };
+            let drawn = draw_age(&self.settings, window, &older, &mut rng);
+            let Some(kept) = self.teaching_age(drawn, &older).and_then(|age| self.images.newest(age)) else { continue };
             let target = match self.images.channels() {
                 1 => TargetImage::Gray8(kept.pixels),
                 _ => TargetImage::Rgb8(kept.pixels),
@@ -74,6 +75,14 @@ impl Mapper {
         report.mean_psnr_db = psnr_sum_db / report.n_iterations.max(1) as f32;
         self.counters.iterations += u64::from(report.n_iterations);
         report
+    }
+
+    /// The keyframe that a step looks at: the one that was drawn, or an older one of another street where that shows nothing new.
+    fn teaching_age(&self, drawn: usize, older: &[usize]) -> Option<usize> {
+        if !self.shows_nothing_new(drawn) {
+            return Some(drawn);
+        }
+        older.iter().copied().find(|&age| !self.is_of_known_street(age))
     }
 
     /// Ages of keyframes before the window whose anchors are still resident.

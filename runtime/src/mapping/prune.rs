@@ -3,7 +3,7 @@
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
 use super::scratch::{NO_GAUSSIAN, Staging};
 use super::settings::MapperSettings;
-use crate::splat::GaussianParams;
+use crate::splat::{GaussianParams, KeyframePlacement};
 use kilogs_core::camera::Pinhole;
 use kilogs_core::map::AnchorHeader;
 use kilogs_core::map::anchor::GAUSSIAN_PARAMS;
@@ -25,21 +25,27 @@ impl Mapper {
         while let Some(first_slot) = next_slot {
             next_slot = self.stage(first_slot, |record| record.keyframe_ordinal == ordinal);
             self.read_staged();
-            self.prune_staged(&limits);
+            self.prune_staged(|_, header, gaussian| limits.keep(header, gaussian));
             self.staging.clear();
         }
     }
 
-    fn prune_staged(&mut self, limits: &PruneLimits) {
+    /// Drops the staged Gaussians that are not to be kept.
+    pub(super) fn prune_staged(&mut self, keep: impl Fn(&KeyframePlacement, &AnchorHeader, &GaussianParams) -> bool) {
         let k = self.capacity.gaussians_per_anchor;
         // Anchors that lost all Gaussians go to the front, those that lost some behind them.
         let mut n_ended = 0;
         let mut n_changed = 0;
         for nth in 0..self.staging.slots.len() {
+            let slot = self.staging.slots[nth];
+            let placement = self.ordinal_in(slot).and_then(|ordinal| self.placement_of(ordinal)).copied();
+            let Some(placement) = placement else { continue };
             let Staging { headers, params, features, .. } = &mut self.staging;
             let residual = self.decoders.residual_at_spawn(&headers[nth], &features[nth]);
             let before = headers[nth].n_gaussians;
-            let after = keep_good(&mut headers[nth], &mut params[nth * k..(nth + 1) * k], residual, limits);
+            let gaussians = &mut params[nth * k..(nth + 1) * k];
+            let keep = |header: &AnchorHeader, gaussian: &GaussianParams| keep(&placement, header, gaussian);
+            let after = keep_those(&mut headers[nth], gaussians, residual, keep);
             self.quota.give_back(f64::from(before - after));
             if after == before && after > 0 {
                 continue;
@@ -71,33 +77,51 @@ pub(crate) struct PruneLimits {
     max_sigma_z1: f32,
 }
 
+/// Largest standard deviation over depth that a Gaussian may have in a view.
+pub(super) fn max_sigma_z1(settings: &MapperSettings, camera: &Pinhole) -> f32 {
+    settings.max_width_ratio * camera.width as f32 / WIDTH_IN_SIGMAS / camera.fx as f32
+}
+
 impl PruneLimits {
     /// The limits of `settings` in pictures of `camera`.
     pub(crate) fn of(settings: &MapperSettings, camera: &Pinhole) -> Self {
-        let max_sigma_px = settings.max_width_ratio * camera.width as f32 / WIDTH_IN_SIGMAS;
         Self {
             min_opacity_logit: (settings.min_opacity / (1.0 - settings.min_opacity)).ln(),
-            max_sigma_z1: max_sigma_px / camera.fx as f32,
+            max_sigma_z1: max_sigma_z1(settings, camera),
         }
+    }
+
+    /// Whether a Gaussian, as it is shown, is neither faint nor oversized.
+    pub(crate) fn keep(&self, header: &AnchorHeader, gaussian: &GaussianParams) -> bool {
+        let depth_m = center_in_keyframe_m(header, gaussian)[2];
+        let is_wide = largest_sigma_m(header, gaussian) > self.max_sigma_z1 * depth_m.abs();
+        gaussian.opacity_logit >= self.min_opacity_logit && !is_wide
     }
 }
 
-/// Moves the Gaussians worth keeping to the front; how many there are. One that moves looks as before from the keyframe
+/// Centre of a Gaussian in the frame of the keyframe that spawned it, m.
+pub(super) fn center_in_keyframe_m(header: &AnchorHeader, gaussian: &GaussianParams) -> [f32; 3] {
+    [0, 1, 2].map(|i| header.position_in_keyframe_m[i] + gaussian.offset[i] * header.log_extent[i].exp())
+}
+
+/// Largest standard deviation of a Gaussian, m of the keyframe that spawned it.
+pub(super) fn largest_sigma_m(header: &AnchorHeader, gaussian: &GaussianParams) -> f32 {
+    (0..3).map(|i| (header.log_extent[i] + gaussian.log_scale[i]).exp()).fold(0.0, f32::max)
+}
+
+/// Moves the Gaussians to keep to the front; how many there are. One that moves looks as before from the keyframe
 /// that spawned it: what the decoder adds at its new place instead of the old one is taken off.
-pub(crate) fn keep_good(
+pub(crate) fn keep_those(
     header: &mut AnchorHeader,
     gaussians: &mut [GaussianParams],
     residual: &[f32],
-    limits: &PruneLimits,
+    keep: impl Fn(&AnchorHeader, &GaussianParams) -> bool,
 ) -> u8 {
     let residual_of = |nth: usize| residual.get(nth * GAUSSIAN_PARAMS..(nth + 1) * GAUSSIAN_PARAMS).unwrap_or_default();
     let mut kept = 0;
     for nth in 0..usize::from(header.n_gaussians) {
         let shown = with_residual(&gaussians[nth], residual_of(nth));
-        let depth_m = header.position_in_keyframe_m[2] + shown.offset[2] * header.log_extent[2].exp();
-        let widest_m = (0..3).map(|i| (header.log_extent[i] + shown.log_scale[i]).exp()).fold(0.0, f32::max);
-        let is_wide = widest_m > limits.max_sigma_z1 * depth_m.abs();
-        if shown.opacity_logit >= limits.min_opacity_logit && !is_wide {
+        if keep(header, &shown) {
             if kept != nth {
                 gaussians[kept] = without_residual(&shown, residual_of(kept));
             }
@@ -130,7 +154,7 @@ mod tests {
 
     fn check(gaussians: [GaussianParams; 3], residual: &[f32], expected: &[GaussianParams]) {
         let (mut header, mut kept) = (HEADER, gaussians);
-        let n = keep_good(&mut header, &mut kept, residual, &LIMITS);
+        let n = keep_those(&mut header, &mut kept, residual, |header, shown| LIMITS.keep(header, shown));
         assert_eq!((usize::from(n), usize::from(header.n_gaussians)), (expected.len(), expected.len()));
         assert_eq!(&kept[..expected.len()], expected, "{gaussians:?}");
         assert!(kept[expected.len()..].iter().all(|gaussian| *gaussian == NO_GAUSSIAN));

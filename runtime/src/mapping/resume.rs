@@ -43,7 +43,7 @@ impl Mapper {
         // It is closed, as any chunk, when the first keyframe of the next one comes.
         self.paging.building_chunk = Some(last);
         self.decoders.go_on_after(last);
-        self.background_of_chunk = Some(last);
+        self.sky.of_chunk = Some(last);
     }
 }
 

@@ -1,9 +1,10 @@
 //! Streets that an earlier drive has mapped: what of them stays as it is, and what is mapped anew.
 //!
-//! What a finished chunk shows stays, for its own pictures are not there to be trained with: whoever comes later fills in what is
-//! bare. Before a loop is closed odometry puts the street metres away from where it is in the map, and what is
-//! inserted then makes up for what stands in the wrong place. When the loop puts it right, those Gaussians are wrong themselves:
-//! they end, and their keyframes are mapped anew from the pictures that are still in memory.
+//! What a finished chunk shows stays, for its own pictures are not there to be trained with: whoever comes later leaves the map
+//! as it is where he sees the same, and fills in what is bare where he sees more. Before a loop is closed odometry puts the
+//! street metres away from where it is in the map, and what is inserted then makes up for what stands in the wrong place. When
+//! the loop puts it right, those Gaussians are wrong themselves: they end, and their keyframes are mapped anew from the pictures
+//! that are still in memory.
 
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
 use super::realign::OTHER_DRIVE_KEYFRAMES;
@@ -17,9 +18,13 @@ use nalgebra::{Point3, Vector3};
 /// A loop that moves the newest keyframe less than a voxel 20 m ahead of it blurs what was inserted, and steps mend that.
 const ASTRAY_M: f64 = VOXEL_SIZES_M[1] as f64;
 
+/// From so near (m), turned by less than this (as a cosine), a view shows what a finished keyframe showed: at most a lane aside
+/// or a few keyframes farther, and by a third of the angle of view of a usual camera.
+const SAME_VIEW: (f64, f64) = (5.0, 0.9);
+
 impl Mapper {
     /// Chunks before this one are finished: all but the newest one and the one before it.
-    fn first_unfinished_chunk(&self) -> u32 {
+    pub(super) fn first_unfinished_chunk(&self) -> u32 {
         self.images.newest(0).map_or(0, |kept| (kept.keyframe.ordinal / CHUNK_KEYFRAMES).saturating_sub(1))
     }
 
@@ -37,22 +42,43 @@ impl Mapper {
         rows.fold(ChunkRows::NONE, ChunkRows::with)
     }
 
-    /// Whether a finished keyframe in memory looks at the same: from less than a first view's worth away, and from the same
-    /// side.
-    fn was_seen_before(&self, world_from_camera: &Rigid) -> bool {
+    /// Whether a finished keyframe in memory is so near and looks so far the same way.
+    fn is_near_finished(&self, world_from_camera: &Rigid, (most_m, least_cosine): (f64, f64)) -> bool {
         let forward = world_from_camera.rotation * Vector3::z();
         self.finished_keyframes().any(|(_, at)| {
             let distance_m = (at.translation_m - world_from_camera.translation.vector).norm();
-            distance_m < self.settings.first_view_m && (at.rotation * Vector3::z()).dot(&forward) > 0.0
+            distance_m < most_m && (at.rotation * Vector3::z()).dot(&forward) > least_cosine
         })
     }
 
-    /// How a view is inserted from: where an earlier drive saw the same, only what is bare is filled. While no loop says where
-    /// that is, what looks wrong is inserted too.
-    pub(super) fn insertion_for(&self, world_from_camera: &Rigid) -> InsertionSettings {
+    /// Whether a finished keyframe in memory looks at the same: from less than a first view's worth away, and from the same
+    /// side.
+    fn was_seen_before(&self, world_from_camera: &Rigid) -> bool {
+        self.is_near_finished(world_from_camera, (self.settings.first_view_m, 0.0))
+    }
+
+    /// Whether a loop has lately said where the newest keyframes are in the map.
+    fn is_tied(&self) -> bool {
         let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal);
-        let is_tied = self.tied_at.is_some_and(|tied_at| newest < tied_at.saturating_add(OTHER_DRIVE_KEYFRAMES));
-        InsertionSettings { only_bare: is_tied && self.was_seen_before(world_from_camera), ..self.settings.insertion }
+        self.tied_at.is_some_and(|tied_at| newest < tied_at.saturating_add(OTHER_DRIVE_KEYFRAMES))
+    }
+
+    /// Whether the keyframe `age` places before the newest looks at a street that an earlier drive has mapped.
+    pub(super) fn is_of_known_street(&self, age: usize) -> bool {
+        let kept = self.images.newest(age);
+        self.is_tied() && kept.is_some_and(|kept| self.was_seen_before(&kept.keyframe.world_from_camera))
+    }
+
+    /// Whether the keyframe `age` places before the newest shows what a finished one does: the map is left as it is there.
+    pub(super) fn shows_nothing_new(&self, age: usize) -> bool {
+        let kept = self.images.newest(age);
+        self.is_tied() && kept.is_some_and(|kept| self.is_near_finished(&kept.keyframe.world_from_camera, SAME_VIEW))
+    }
+
+    /// How the keyframe `age` places before the newest is inserted from: where an earlier drive saw the same, only what is bare
+    /// is filled. While no loop says where that is, what looks wrong is inserted too.
+    pub(super) fn insertion_for(&self, age: usize) -> InsertionSettings {
+        InsertionSettings { only_bare: self.is_of_known_street(age), ..self.settings.insertion }
     }
 
     /// Whether an alignment moves the newest keyframe against the finished chunks in memory so far that what it saw of them

@@ -280,6 +280,9 @@ mod returning;
 #[path = "realigning_tests.rs"]
 mod realigning;
 
+#[path = "sky_tests.rs"]
+mod sky;
+
 #[test]
 fn a_full_pool_refuses_and_says_how_often() {
     let (mut mapper, mut sink) = (mapper(1, 64), MemorySink::default());

@@ -3,7 +3,7 @@
 use super::lifecycle::Tally;
 use super::settings::LifecycleSettings;
 use super::stretch::{READ_ANCHORS, StretchMemory};
-use crate::mapping::{PruneLimits, keep_good, without_residual};
+use crate::mapping::{PruneLimits, keep_those, without_residual};
 use crate::splat::{AnchorHeader, AnchorScore, GaussianParams, ScoreReport, TrainingView};
 use kilogs_core::map::anchor::GAUSSIAN_PARAMS;
 use kilogs_core::map::decoder::with_residual;
@@ -107,7 +107,7 @@ impl Renewed<'_> {
             let residual = memory.residual_at_spawn(&staged.headers[nth], &staged.features[nth]).to_vec();
             let (header, gaussians) = (&mut staged.headers[nth], &mut staged.params[nth * k..(nth + 1) * k]);
             let before = header.n_gaussians;
-            if keep_good(header, gaussians, &residual, self.limits) == 0 {
+            if keep_those(header, gaussians, &residual, |header, shown| self.limits.keep(header, shown)) == 0 {
                 ended.insert(*slot);
                 self.counts.faint += 1;
                 continue;

@@ -50,7 +50,9 @@ constants! {
     BAND_STARTS_M: [f32; numbers::N_LEVELS] = numbers::BAND_STARTS_M;
     /// Half width of the zone in which two levels exist, relative to the border's distance.
     BAND_OVERLAP_RATIO: f32 = numbers::BAND_OVERLAP_RATIO;
-    /// Half width of the zone in which an anchor fades when it is seen from its back, as a cosine.
+    /// Where half of an anchor is left as it is seen from farther aside, as a cosine.
+    SIDE_BORDER_COSINE: f32 = numbers::SIDE_BORDER_COSINE;
+    /// Half width of the zone around that in which it fades, as a cosine.
     SIDE_FADE_COSINE: f32 = numbers::SIDE_FADE_COSINE;
 
     /// Features of an anchor.

@@ -33,7 +33,7 @@ impl Problem {
             header.keyframe_row = (i % 3) as u32;
             header.level = (i / 2 % 2) as u8;
             if i % 6 == 2 {
-                // Seen at nearly a right angle.
+                // Seen at the border of its side.
                 let [x, y, z] = header.position_in_keyframe_m;
                 header.position_in_keyframe_m = [0.3 * x, 0.3 * y, 4.0 + 0.3 * (z - 4.0)];
             }
@@ -43,7 +43,7 @@ impl Problem {
             }
         }
         let rotation = UnitQuaternion::from_euler_angles(0.1, 0.4, -0.2);
-        let from_the_side = rotation * UnitQuaternion::from_euler_angles(0.0, 1.5, 0.0);
+        let from_the_side = rotation * UnitQuaternion::from_euler_angles(0.0, 1.05, 0.0);
         let place_m = Vector3::new(30.0, -2.0, 55.0) + rotation * Vector3::new(0.0, 0.0, 20.0);
         let placements = vec![
             KeyframePlacement { rotation, translation_m: Vector3::new(30.0, -2.0, 55.0), scale: 5.0 },

@@ -9,7 +9,7 @@ use crate::splat::cpu::update::anisotropy;
 use crate::splat::*;
 use kilogs_core::map::decoder::{FEATURE_LEN, HIDDEN, INPUTS, decode_residual};
 use kilogs_core::map::lod::{BAND_OVERLAP_RATIO, BAND_STARTS_M};
-use kilogs_core::map::side::SIDE_FADE_COSINE;
+use kilogs_core::map::side::{SIDE_BORDER_COSINE, SIDE_FADE_COSINE};
 use nalgebra::{Matrix3, Vector3};
 use zerocopy::IntoBytes;
 
@@ -85,7 +85,7 @@ impl Map {
         let (linear, translation) = self.camera_from_keyframe(header, view);
         let from_keyframe = linear * Vector3::from(header.position_in_keyframe_m.map(f64::from));
         let cosine = from_keyframe.normalize().dot(&(from_keyframe + translation).normalize());
-        (0.5 + 0.5 * cosine / f64::from(SIDE_FADE_COSINE)).clamp(0.0, 1.0)
+        (0.5 + 0.5 * (cosine - f64::from(SIDE_BORDER_COSINE)) / f64::from(SIDE_FADE_COSINE)).clamp(0.0, 1.0)
     }
 
     fn draw_pixel(&self, splats: &[Splat], rays: &Rays, pixel: [f64; 2], picture: &mut Picture) {

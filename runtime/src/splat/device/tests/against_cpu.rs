@@ -146,7 +146,7 @@ fn sides_fade_as_on_the_cpu() {
     // Keyframes around what they see: one as the camera, one from the side, one from behind.
     let around = Scene::new(70, 45).with(|scene| {
         let middle_m = Vector3::new(0.0, 0.0, 4.0);
-        for (row, (placement, turn_rad)) in scene.placements.iter_mut().zip([0.0, 1.5, 2.6]).enumerate() {
+        for (row, (placement, turn_rad)) in scene.placements.iter_mut().zip([0.0, 1.05, 2.6]).enumerate() {
             placement.rotation = UnitQuaternion::from_euler_angles(0.0, turn_rad, 0.0);
             placement.translation_m = middle_m - placement.rotation * middle_m;
             scene.headers.iter_mut().skip(row).step_by(3).for_each(|header| header.keyframe_row = row as u32);
