@@ -11,7 +11,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 pub const FRAME_MAGIC: u32 = u32::from_le_bytes(*b"KGSF");
 
 /// Raised when the meaning or the place of a field changes.
-pub const FRAME_VERSION: u32 = 1;
+pub const FRAME_VERSION: u32 = 2;
 
 /// Bits of [`FrameHeader::flags`].
 pub mod flags {
@@ -33,7 +33,7 @@ pub const MAX_TIMESTAMP_NS: u64 = i64::MAX as u64;
 /// What a frame says about itself. The numbers are those of the machine that runs both processes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
-#[type_name("KilogsFrameHeader1")]
+#[type_name("KilogsFrameHeader2")]
 pub struct FrameHeader {
     /// [`FRAME_MAGIC`].
     pub magic: u32,
@@ -43,8 +43,6 @@ pub struct FrameHeader {
     pub sequence: u64,
     /// Middle of the exposure, ns.
     pub timestamp_ns: TimestampNs,
-    /// Bytes of the payload that belong to the image.
-    pub payload_bytes: u64,
     /// Width, px.
     pub width: u32,
     /// Height, px.
@@ -61,8 +59,11 @@ pub struct FrameHeader {
     pub camera_id: u32,
     /// See [`flags`].
     pub flags: u32,
+    /// Bytes of the payload that belong to the image.
+    pub payload_bytes: u64,
 }
-const _: () = assert!(size_of::<FrameHeader>() == 64);
+// Capture processes in other languages write these bytes.
+const _: () = assert!(size_of::<FrameHeader>() == 64 && core::mem::offset_of!(FrameHeader, payload_bytes) == 56);
 
 /// What every frame of a service must look like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

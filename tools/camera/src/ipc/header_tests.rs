@@ -24,7 +24,7 @@ fn every_kind_of_bad_header_is_told_apart() {
     check(|_| (), Accept { pixel_format: PixelFormat::Mono8, n_missing: 0 });
     check(|h| h.sequence = 14, Accept { pixel_format: PixelFormat::Mono8, n_missing: 3 });
     check(|h| h.magic = 7, BadMagic { found: 7 });
-    check(|h| h.version = 2, BadVersion { found: 2 });
+    check(|h| h.version += 1, BadVersion { found: FRAME_VERSION + 1 });
     check(|h| h.pixel_format = 0, UnknownFormat { found: 0 });
     check(|h| h.pixel_format = 3, OtherFormat { found: PixelFormat::Bgr8, expected: PixelFormat::Mono8 });
     check(|h| h.width = 7, WrongSize { found: [7, 4], expected: [6, 4] });
