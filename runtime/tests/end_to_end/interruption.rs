@@ -2,7 +2,7 @@
 
 use crate::drive::Drive;
 use crate::program::{Ended, Program, word};
-use crate::replay::{check_counts, count, json};
+use crate::replay::{check_counts, count, json, number};
 use std::path::Path;
 
 /// Starts a replay that lasts, and lets it receive some frames.
@@ -34,6 +34,18 @@ fn an_interrupted_replay_is_a_short_one() {
         program.interrupt();
         check(out.path(), &program.wait(), 0, "outputs in");
     }
+}
+
+#[test]
+fn an_interrupted_demo_judges_what_it_drove() {
+    let out = tempfile::tempdir().expect("a folder");
+    let mut program = Program::start(["demo", "--iterations", "1", "--out", &word(out.path())]);
+    program.wait_for("the camera is there", 1);
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    program.interrupt();
+    check(out.path(), &program.wait(), 0, "outputs in");
+    let eval = json(&out.path().join("eval.json"));
+    assert!(number(&eval, "/ate_se3_m") < 1.0, "{eval}");
 }
 
 #[test]

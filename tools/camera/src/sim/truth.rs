@@ -7,7 +7,7 @@ use crate::source::{
 };
 use image::{ExtendedColorType, ImageFormat, save_buffer_with_format};
 use std::fs::{File, create_dir_all};
-use std::io::{BufWriter, Write};
+use std::io::{LineWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// KITTI stores depth as 16-bit steps of 1/256 m, 0 for unknown.
@@ -16,8 +16,9 @@ const DEPTH_STEPS_PER_M: f32 = 256.0;
 /// Writes `poses.txt`, `times.txt`, `calib.txt`, `camera.toml` and, frame by frame, `depth/NNNNNN.png`.
 pub struct TruthWriter {
     folder: PathBuf,
-    poses: BufWriter<File>,
-    times: BufWriter<File>,
+    // Whole lines: whoever ends the simulator early has the truth of what it delivered.
+    poses: LineWriter<File>,
+    times: LineWriter<File>,
     depth_steps: Vec<u8>,
 }
 
@@ -48,7 +49,7 @@ impl TruthWriter {
         }
         let open = |name: &str| {
             let path = folder.join(name);
-            File::create(&path).map(BufWriter::new).map_err(|e| problem(&path, &e))
+            File::create(&path).map(LineWriter::new).map_err(|e| problem(&path, &e))
         };
         let n_pixels = camera.width as usize * camera.height as usize;
         Ok(Self {
