@@ -1,6 +1,7 @@
 //! `renders/`: the camera's image of some keyframes beside what the map shows from there.
 
 use super::OutputError;
+use crate::render_views::JudgedView;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use kilogs_core::conventions::TimestampNs;
@@ -38,6 +39,53 @@ pub struct RenderedKeyframe {
     pub camera_file: PathBuf,
     /// File with the render.
     pub render_file: PathBuf,
+}
+
+/// Keyframes whose pictures are written.
+const N_RENDERS: usize = 12;
+
+/// Pictures of some of a map's keyframes, evenly spread over the drive, while the map is judged.
+#[derive(Debug)]
+pub struct Renders {
+    dir: PathBuf,
+    every: usize,
+    n_seen: usize,
+    written: Vec<RenderedKeyframe>,
+}
+
+impl Renders {
+    /// Pictures in the output folder `dir`, of a map with so many keyframes.
+    pub fn new(dir: &Path, n_keyframes: usize) -> Self {
+        let every = n_keyframes.div_ceil(N_RENDERS).max(1);
+        Self { dir: dir.to_owned(), every, n_seen: 0, written: Vec::with_capacity(N_RENDERS) }
+    }
+
+    /// Writes the pictures of a view if it is one of those that are shown.
+    ///
+    /// # Errors
+    /// [`OutputError`] as [`write_render`].
+    pub fn push(&mut self, view: &JudgedView<'_>) -> Result<(), OutputError> {
+        let keyframe = view.keyframe;
+        if keyframe.is_held_out {
+            return Ok(());
+        }
+        let is_wanted = self.n_seen % self.every == self.every / 2;
+        self.n_seen += 1;
+        if is_wanted {
+            let rendered = view.render.to_image();
+            let (width, height) = (view.camera.width(), view.camera.height());
+            let [camera, render] =
+                [view.camera.as_raw(), rendered.as_raw()].map(|bytes| Picture { bytes, width, height, channels: 3 });
+            let (index, timestamp_ns) = (keyframe.frame_index, keyframe.timestamp_ns);
+            self.written.push(write_render(&self.dir, index, timestamp_ns, view.quality, camera, render)?);
+        }
+        Ok(())
+    }
+
+    /// The keyframes whose pictures were written.
+    pub fn written(self) -> Vec<RenderedKeyframe> {
+        self.written
+    }
 }
 
 /// Writes both pictures of a keyframe as `renders/NNNNNN_camera.jpg` and `renders/NNNNNN_render.jpg`.

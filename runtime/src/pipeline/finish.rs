@@ -10,16 +10,13 @@ use super::tally::Tally;
 use crate::budget::{Row, Usage};
 use crate::map_store::{MapStoreEditor, MapStoreReader};
 use crate::output::report::{Backend, Mapping, Memory, Report, Time, Tracking};
-use crate::output::{Picture, RenderedKeyframe, VIEWS_CSV, ViewTable, write_html, write_render};
+use crate::output::{RenderedKeyframe, Renders, VIEWS_CSV, ViewTable, write_html};
 use crate::render_views::{MapQuality, judge_map};
 use crate::run_error::RunError;
 use crate::seal;
 use crate::splat::Overflow;
 use crate::telemetry::MemoryWatch;
 use std::time::Instant;
-
-/// Keyframes whose pictures are written to `renders/`.
-const N_RENDERS: usize = 12;
 
 /// Everything that a drive leaves behind.
 pub struct Concluded {
@@ -163,24 +160,11 @@ fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError
         editor.finish()?;
     }
     let mut backend = memory::backend(plan)?;
-    let every = map.keyframes().len().div_ceil(N_RENDERS).max(1);
-    let (mut n_seen, mut pictures) = (0, Vec::with_capacity(N_RENDERS));
+    let mut renders = Renders::new(&plan.out, map.keyframes().len());
     let mut table = ViewTable::create(&plan.out.join(VIEWS_CSV))?;
     let quality = judge_map(&map, backend.as_mut(), &mut |view| {
         table.push(view)?;
-        let is_wanted = !view.keyframe.is_held_out && n_seen % every == every / 2;
-        n_seen += usize::from(!view.keyframe.is_held_out);
-        if is_wanted {
-            let rendered = view.render.to_image();
-            let (width, height) = (view.camera.width(), view.camera.height());
-            let camera = Picture { bytes: view.camera.as_raw(), width, height, channels: 3 };
-            let render = Picture { bytes: rendered.as_raw(), width, height, channels: 3 };
-            let keyframe = view.keyframe;
-            let (index, time_ns) = (keyframe.frame_index, keyframe.timestamp_ns);
-            let written = write_render(&plan.out, index, time_ns, view.quality, camera, render);
-            pictures.push(written?);
-        }
-        Ok(())
+        Ok(renders.push(view)?)
     })?;
     table.finish()?;
     if quality.views_without_picture > 0 {
@@ -189,7 +173,7 @@ fn judge(plan: &RunPlan) -> Result<(MapQuality, Vec<RenderedKeyframe>), RunError
             quality.views_without_picture
         );
     }
-    Ok((quality, pictures))
+    Ok((quality, renders.written()))
 }
 
 fn mapping_report(mapping: &MappingSummary, quality: &MapQuality) -> Mapping {

@@ -10,7 +10,7 @@ use crate::budget::Row;
 use crate::fit::{Clock, Effort, TrainingImages};
 use crate::map_store::{MapStoreEditor, MapStoreReader};
 use crate::mapping::{PruneLimits, mapping_camera};
-use crate::output::ViewTable;
+use crate::output::{Renders, ViewTable};
 use crate::pipeline::{self, RunPlan};
 use crate::render_views::judge_map;
 use crate::run_error::RunError;
@@ -51,22 +51,30 @@ pub fn run(request: &RefineRequest<'_>) -> Result<RefineSummary, RunError> {
     let run_folder = RunFolder::of(map.folder());
     let tables: Vec<PathBuf> =
         views_csv.map(Path::to_owned).into_iter().chain(run_folder.as_ref().map(RunFolder::views_csv)).collect();
-    let before = score(map, plan, &[])?;
+    let before = score(map, plan, &[], None)?;
     let training = train(map, plan, effort, editor, &mut || !is_interrupted.load(Ordering::Relaxed))?;
     let trained = MapStoreReader::open(map.folder(), plan.budget.capacity(Row::StoreKeyframeTable))?;
-    let after = score(&trained, plan, &tables)?;
-    if let Some(folder) = run_folder {
-        folder.update(&trained, &after)?;
+    let mut renders = run_folder.as_ref().map(|folder| folder.renders(&trained));
+    let after = score(&trained, plan, &tables, renders.as_mut())?;
+    if let Some((folder, renders)) = run_folder.zip(renders) {
+        folder.update(&trained, &after, &renders.written())?;
     }
     Ok(RefineSummary { before, after, training })
 }
 
-/// What the map scores; what each view does goes into tables.
-fn score(map: &MapStoreReader, plan: &RunPlan, tables: &[PathBuf]) -> Result<Scores, RunError> {
+/// What the map scores; what each view does goes into tables, and some are shown.
+fn score(
+    map: &MapStoreReader,
+    plan: &RunPlan,
+    tables: &[PathBuf],
+    mut renders: Option<&mut Renders>,
+) -> Result<Scores, RunError> {
     let mut backend = pipeline::backend(plan)?;
     let mut tables = tables.iter().map(|path| ViewTable::create(path)).collect::<Result<Vec<_>, _>>()?;
-    let quality =
-        judge_map(map, backend.as_mut(), &mut |view| Ok(tables.iter_mut().try_for_each(|table| table.push(view))?))?;
+    let quality = judge_map(map, backend.as_mut(), &mut |view| {
+        tables.iter_mut().try_for_each(|table| table.push(view))?;
+        Ok(renders.as_mut().map_or(Ok(()), |renders| renders.push(view))?)
+    })?;
     tables.into_iter().try_for_each(ViewTable::finish)?;
     Ok(Scores::new(map, &quality, map.bytes()?))
 }

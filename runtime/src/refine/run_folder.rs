@@ -3,13 +3,13 @@
 use super::summary::Scores;
 use crate::map_store::MapStoreReader;
 use crate::output::report::{Mapping, Report};
-use crate::output::{OutputError, VIEWS_CSV};
+use crate::output::{OutputError, RenderedKeyframe, Renders, VIEWS_CSV, rewrite_html};
 use std::path::{Path, PathBuf};
 
 /// An output folder whose map is refined in place.
 ///
-/// `report.json` and `views.csv` speak of the stored map, so they are written anew; `eval.json` repeats them and goes.
-/// `report.html` and `renders/` stay what they are: the page of the drive.
+/// `report.json`, `report.html`, `renders/` and `views.csv` speak of the stored map, so they are written anew; `eval.json` repeats
+/// them and goes.
 #[derive(Debug, PartialEq)]
 pub(super) struct RunFolder {
     folder: PathBuf,
@@ -36,11 +36,21 @@ impl RunFolder {
         self.folder.join(VIEWS_CSV)
     }
 
-    /// Writes the report with what the map is now.
+    /// Where pictures of its map go.
+    pub(super) fn renders(&self, map: &MapStoreReader) -> Renders {
+        Renders::new(&self.folder, map.keyframes().len())
+    }
+
+    /// Writes the report with what the map is now, and how it looks.
     ///
     /// # Errors
     /// [`OutputError`].
-    pub(super) fn update(mut self, map: &MapStoreReader, scores: &Scores) -> Result<(), OutputError> {
+    pub(super) fn update(
+        mut self,
+        map: &MapStoreReader,
+        scores: &Scores,
+        pictures: &[RenderedKeyframe],
+    ) -> Result<(), OutputError> {
         self.report.mapping = Mapping {
             anchors_total: map.pages().iter().map(|page| u64::from(page.n_anchors)).sum(),
             gaussians: scores.gaussians,
@@ -54,6 +64,7 @@ impl RunFolder {
             ..self.report.mapping
         };
         self.report.write(&self.folder)?;
+        rewrite_html(&self.folder, &self.report, pictures)?;
         let judged = self.folder.join("eval.json");
         if judged.is_file() {
             std::fs::remove_file(&judged).map_err(OutputError::write(&judged))?;

@@ -19,6 +19,9 @@ const STYLE: &str = include_str!("style.css");
 /// Pictures that the page embeds at most; more are thinned evenly.
 const MAX_PICTURES: usize = 12;
 
+/// Name of the page in an output folder.
+const REPORT_HTML: &str = "report.html";
+
 /// Writes `report.html` into the output folder, whose trajectory files are already there.
 ///
 /// # Errors
@@ -29,7 +32,24 @@ pub fn write_html(
     chart: &DriveChart,
     pictures: &[RenderedKeyframe],
 ) -> Result<(), OutputError> {
-    let path = dir.join("report.html");
+    let mut charts = Vec::new();
+    drive(&mut charts, report, chart).map_err(OutputError::write(&dir.join(REPORT_HTML)))?;
+    write_page(dir, report, &charts, pictures)
+}
+
+/// Writes the `report.html` that is there anew, with other figures and pictures; the charts of the drive are taken over.
+///
+/// # Errors
+/// [`OutputError`] as [`write_html`].
+pub fn rewrite_html(dir: &Path, report: &Report, pictures: &[RenderedKeyframe]) -> Result<(), OutputError> {
+    let Ok(page) = std::fs::read_to_string(dir.join(REPORT_HTML)) else { return Ok(()) };
+    let charts = page.split_once(DRIVE_BEGINS).and_then(|(_, rest)| rest.split_once(SECTION_ENDS));
+    let charts = charts.map_or_else(String::new, |(charts, _)| [DRIVE_BEGINS, charts, SECTION_ENDS, "\n"].concat());
+    write_page(dir, report, charts.as_bytes(), pictures)
+}
+
+fn write_page(dir: &Path, report: &Report, drive: &[u8], pictures: &[RenderedKeyframe]) -> Result<(), OutputError> {
+    let path = dir.join(REPORT_HTML);
     let final_path = path::thinned(&dir.join("trajectory_tum.txt"))?;
     let live_path = match report.tracking.loops {
         0 => Vec::new(),
@@ -40,7 +60,7 @@ pub fn write_html(
     let body = |page: &mut BufWriter<File>| -> io::Result<()> {
         begin(page, report)?;
         trajectory(page, &final_path, &live_path)?;
-        drive(page, report, chart)?;
+        page.write_all(drive)?;
         pictures_of(page, pictures)?;
         tables::write(page, report)?;
         writeln!(page, "</main></body></html>")?;
@@ -79,18 +99,22 @@ fn trajectory(page: &mut impl Write, final_path: &[[f64; 2]], live_path: &[[f64;
     )
 }
 
+/// What only the section of the drive begins with.
+const DRIVE_BEGINS: &str = "<section class=\"pair\">";
+const SECTION_ENDS: &str = "</section>";
+
 fn drive(page: &mut impl Write, report: &Report, chart: &DriveChart) -> io::Result<()> {
     if chart.buckets().is_empty() {
         return Ok(());
     }
-    writeln!(page, "<section class=\"pair\"><div><h2>Time per frame</h2>")?;
+    writeln!(page, "{DRIVE_BEGINS}<div><h2>Time per frame</h2>")?;
     let class_of = |k: usize| charts::STAGE_CLASSES.get(k).copied().unwrap_or("path");
     let legend: Vec<_> = STAGES.iter().enumerate().map(|(k, &(_, name))| (class_of(k), name)).collect();
     figure(page, &charts::time_per_stage(chart.buckets())?, &legend)?;
     writeln!(page, "</div><div><h2>Memory</h2>")?;
     let legend = [("memory", "resident in this process"), ("cap", "cap of the budget")];
     figure(page, &charts::memory(chart.buckets(), report.memory.budget_host_bytes)?, &legend)?;
-    writeln!(page, "</div></section>")
+    writeln!(page, "</div>{SECTION_ENDS}")
 }
 
 fn figure(page: &mut impl Write, svg: &str, legend: &[(&str, &str)]) -> io::Result<()> {

@@ -29,8 +29,16 @@ fn page_of(report: &Report, n_frames: u64, n_pictures: u64) -> String {
     let pictures: Vec<_> = (0..n_pictures)
         .map(|k| write_render(dir.path(), k, k * 100_000_000, quality, picture, picture).expect("picture"))
         .collect();
+    let read = || std::fs::read_to_string(dir.path().join("report.html")).expect("report.html");
     write_html(dir.path(), report, &chart, &pictures).expect("a page");
-    std::fs::read_to_string(dir.path().join("report.html")).expect("report.html")
+    let page = read();
+    rewrite_html(dir.path(), report, &pictures).expect("a page");
+    assert!(page == read(), "the page written anew is another one");
+    rewrite_html(dir.path(), &Report { command: "another".to_owned(), ..Report::default() }, &[]).expect("a page");
+    let (other, charts) = (read(), page.matches("Time per frame").count());
+    assert!(other.contains("<code>another</code>") && !other.contains("<img"));
+    assert_eq!(other.matches("Time per frame").count(), charts);
+    page
 }
 
 #[test]
