@@ -12,10 +12,16 @@ fn main() -> ExitCode {
     match kilogs::cli::main() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            let mut said = error.to_string();
+            eprintln!("error: {said}");
             let mut cause = std::error::Error::source(&error);
             while let Some(inner) = cause {
-                eprintln!("  because: {inner}");
+                let why = inner.to_string();
+                // Most messages name their cause themselves.
+                if !said.contains(&why) {
+                    eprintln!("  because: {why}");
+                    said = why;
+                }
                 cause = inner.source();
             }
             ExitCode::from(&error)

@@ -3,6 +3,7 @@
 mod checks;
 
 use crate::budget::{Budget, Plan, PlanCameraArgs};
+use crate::compute::BackendChoice;
 use crate::run_error::RunError;
 use crate::settings::Settings;
 use std::fmt;
@@ -63,20 +64,31 @@ pub struct NotReady {
 /// Looks at everything a run needs.
 pub fn examine(args: &DoctorArgs, settings: &Settings) -> Vec<Finding> {
     let mut findings = vec![checks::cores(), checks::simd()];
-    match Budget::load(args.budget.as_deref()) {
-        Ok(budget) => match args.camera.plan_input(settings) {
-            Ok(input) => {
-                let plan = Plan::compute(&budget, &input);
-                findings.push(checks::shared_memory(plan.ipc_bytes()));
-                findings.push(checks::budget(&plan, budget.file()));
-                findings.push(checks::machine_memory(plan.host_bytes()));
-            }
-            Err(error) => findings.push(Finding::mend("device", "cannot be used".to_owned(), error.to_string())),
-        },
-        Err(error) => findings.push(Finding::mend("budget", "cannot be used".to_owned(), error.to_string())),
-    }
+    findings.extend(examine_plan(args, settings));
     findings.extend(checks::vulkan());
     findings.extend(checks::models(settings));
+    findings
+}
+
+/// Looks at the budget and at what it asks of the machine; of one that cannot be used, at what the built-in one asks, and without
+/// the device that cannot be used.
+fn examine_plan(args: &DoctorArgs, settings: &Settings) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let mut cannot_be_used =
+        |subject, error: String| findings.push(Finding::mend(subject, "cannot be used".to_owned(), error));
+    let budget = Budget::load(args.budget.as_deref()).map_err(|error| cannot_be_used("budget", error.to_string())).ok();
+    let input = args.camera.plan_input(settings).or_else(|error| {
+        cannot_be_used("device", error.to_string());
+        PlanCameraArgs { backend: BackendChoice::Cpu, device: None, ..args.camera }.plan_input(settings)
+    });
+    let is_usable = budget.is_some();
+    let (Some(budget), Ok(input)) = (budget.or_else(|| Budget::builtin().ok()), input) else { return findings };
+    let plan = Plan::compute(&budget, &input);
+    findings.push(checks::shared_memory(plan.ipc_bytes()));
+    if is_usable {
+        findings.push(checks::budget(&plan, budget.file()));
+    }
+    findings.push(checks::machine_memory(plan.host_bytes()));
     findings
 }
 
@@ -97,7 +109,6 @@ pub fn run(args: &DoctorArgs, settings: &Settings) -> Result<(), RunError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compute::BackendChoice;
 
     fn args(budget: Option<&str>, size: (u32, u32)) -> DoctorArgs {
         let camera = PlanCameraArgs { size, pixel_bytes: 3, backend: BackendChoice::Auto, device: None };
@@ -121,6 +132,20 @@ mod tests {
         };
         check(Some("/nowhere/budget.toml"), (64, 48), &["budget"]);
         check(Some("tiny.toml"), (4096, 4096), &["budget"]);
+    }
+
+    #[test]
+    fn what_cannot_be_used_hides_nothing_else() {
+        let subjects = |args: &DoctorArgs| -> Vec<_> {
+            examine(args, &Settings::measured()).into_iter().map(|finding| finding.subject).collect()
+        };
+        let good = args(Some("tiny.toml"), (64, 48));
+        let mut no_device = args(Some("tiny.toml"), (64, 48));
+        (no_device.camera.backend, no_device.camera.device) = (BackendChoice::Vulkan, Some(99));
+        for bad in [args(Some("/nowhere/budget.toml"), (64, 48)), no_device] {
+            let found = subjects(&bad);
+            assert!(subjects(&good).iter().all(|subject| found.contains(subject)), "{found:?}");
+        }
     }
 
     #[test]

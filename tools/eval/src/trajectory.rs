@@ -97,7 +97,13 @@ fn row(path: &Path, line: usize, content: &str) -> Result<Option<Row>, EvalError
 fn numbers<const N: usize>(path: &Path, row: &Row) -> Result<[f64; N], EvalError> {
     let has_as_many = row.n_numbers == N;
     let found = row.numbers.get(..N).filter(|_| has_as_many).and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
-    found.ok_or_else(|| malformed(path, row.line, format!("has {} numbers, {N} are needed", row.n_numbers)))
+    let layout = match N {
+        TUM_COLUMNS => "t x y z qx qy qz qw",
+        KITTI_COLUMNS => "a 3x4 matrix, row by row",
+        _ => "a time in s",
+    };
+    let problem = || format!("has {} numbers, {N} are needed: {layout}", row.n_numbers);
+    found.ok_or_else(|| malformed(path, row.line, problem()))
 }
 
 fn tum_pose(path: &Path, row: &Row) -> Result<StampedPose, EvalError> {
