@@ -171,8 +171,8 @@ pub struct Mapper {
     pub(super) sky: Sky,
     pub(super) decoders: ChunkDecoders,
     pub(super) alignment: Alignment,
-    /// Newest keyframe when a loop was closed last.
-    pub(super) tied_at: Option<u32>,
+    /// Keyframes before this one are where they are in the map, as a loop or whoever gives poses says.
+    pub(super) tied_until: u32,
     pub(super) counters: MapCounters,
     /// Steps that were asked for, taken or not: each draws its own numbers.
     pub(super) n_draws: u64,
@@ -210,7 +210,7 @@ impl Mapper {
             sky: Sky::new(),
             decoders: ChunkDecoders::new(&capacity, settings.learned_decoder),
             alignment: Alignment::with_capacity(capacity.alignment_steps),
-            tied_at: None,
+            tied_until: 0,
             counters: MapCounters::default(),
             n_draws: 0,
             list_load: ListLoad::default(),

@@ -14,7 +14,7 @@ use kilogs_core::map::voxel::VoxelKey;
 use nalgebra::{Translation3, Vector3};
 
 /// Keyframes so far apart are of two drives along a street.
-pub(super) const OTHER_DRIVE_KEYFRAMES: u32 = 50;
+const OTHER_DRIVE_KEYFRAMES: u32 = 50;
 
 impl Mapper {
     /// How loops had moved keyframes when they were asked last: packets have to be where that puts them.
@@ -41,7 +41,8 @@ impl Mapper {
             }
         }
         self.revoxelize();
-        self.tied_at = self.images.newest(0).map(|kept| kept.keyframe.ordinal);
+        let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal);
+        self.tied_until = self.tied_until.max(newest.saturating_add(OTHER_DRIVE_KEYFRAMES));
         was_astray
     }
 

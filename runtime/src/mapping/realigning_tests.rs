@@ -175,6 +175,14 @@ fn a_view_that_shows_nothing_new_leaves_the_map_as_it_is() {
 }
 
 #[test]
+fn exact_poses_need_no_loop() {
+    let mut mapper = driven_again(200, 0, &Rigid::translation(3.0, 0.0, 0.0));
+    mapper.trust_poses();
+    assert_eq!(look(&mut mapper, 206, 3, &Rigid::identity()), InsertReport::default());
+    assert!(look(&mut mapper, 207, 9, &Rigid::identity()).n_anchors > 0, "it stands elsewhere");
+}
+
+#[test]
 fn who_comes_from_the_other_end_puts_anchors_of_his_own_into_voxels_that_are_taken() {
     let n_shared_and_occupied = |moved: &Similarity| {
         let settings = MapperSettings { page_distance_m: f64::INFINITY, ..settings(false) };

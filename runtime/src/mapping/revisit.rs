@@ -7,7 +7,6 @@
 //! that are still in memory.
 
 use super::mapper::{CHUNK_KEYFRAMES, Mapper};
-use super::realign::OTHER_DRIVE_KEYFRAMES;
 use crate::map_store::Alignment;
 use crate::splat::{ChunkRows, KeyframePlacement};
 use kilogs_core::conventions::Rigid;
@@ -57,10 +56,14 @@ impl Mapper {
         self.is_near_finished(world_from_camera, (self.settings.first_view_m, 0.0))
     }
 
-    /// Whether a loop has lately said where the newest keyframes are in the map.
+    /// Takes all poses for exact: they are given ones, which do not drift.
+    pub fn trust_poses(&mut self) {
+        self.tied_until = u32::MAX;
+    }
+
+    /// Whether the newest keyframes are known to be where they are in the map: given there, or put there by a loop lately.
     fn is_tied(&self) -> bool {
-        let newest = self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal);
-        self.tied_at.is_some_and(|tied_at| newest < tied_at.saturating_add(OTHER_DRIVE_KEYFRAMES))
+        self.images.newest(0).map_or(0, |kept| kept.keyframe.ordinal) < self.tied_until
     }
 
     /// Whether the keyframe `age` places before the newest looks at a street that an earlier drive has mapped.

@@ -34,6 +34,8 @@ pub struct MapperLink {
     n_dropped: u64,
     n_jobs: usize,
     map_format: PixelFormat,
+    /// The tracker's road lies as far below the camera as it does, whatever the scale of the odometry.
+    knows_height: bool,
     usage: Arc<Usage>,
 }
 
@@ -63,13 +65,14 @@ impl MapperLink {
             n_dropped: 0,
             n_jobs,
             map_format: plan.pixel_format,
+            knows_height: plan.mounting.is_some(),
             usage: Arc::clone(usage),
         };
         (link, (incoming, back))
     }
 
     /// Hands a keyframe over; live it is dropped, and counted, when the mapper is busy with two others. The tracker's
-    /// depths are multiplied by `points_scale` and left out without one.
+    /// depths are multiplied by `points_scale` and left out without one; its road too, where it has no known height.
     pub fn keyframe(
         &mut self,
         image: (&CameraImage<'_>, &ImageView<'_>),
@@ -85,7 +88,9 @@ impl MapperLink {
             let points = tracker.keyframe_points().iter().take(n_points);
             job.points.extend(points.map(|point| KeyframePoint { depth_m: scale * point.depth_m, ..*point }));
         }
-        job.road = tracker.road_plane();
+        let road_scale = if self.knows_height { Some(1.0) } else { points_scale.map(f64::from) };
+        let scaled = |road: RoadPlane, scale: f64| RoadPlane { height_m: scale * road.height_m, ..road };
+        job.road = tracker.road_plane().zip(road_scale).map(|(road, scale)| scaled(road, scale));
         self.send(job, image, report, times);
     }
 

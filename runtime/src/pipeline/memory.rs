@@ -25,7 +25,11 @@ use kilogs_core::tracking::{KeyframePoint, Tracker, TrackerStorage};
 pub fn mapper(plan: &RunPlan) -> Result<Mapper, RunError> {
     let settings = MapperSettings { seed: plan.seed, ..plan.settings.mapping.mapper };
     let channels = if plan.pixel_format == PixelFormat::Mono8 { 1 } else { 3 };
-    Ok(Mapper::new(settings, plan.budget.mapper_capacity(), &plan.camera, channels, backend(plan)?))
+    let mut mapper = Mapper::new(settings, plan.budget.mapper_capacity(), &plan.camera, channels, backend(plan)?);
+    if plan.given_poses.is_some() {
+        mapper.trust_poses();
+    }
+    Ok(mapper)
 }
 
 /// A backend of the budget's size.
@@ -91,11 +95,15 @@ pub fn tracker(plan: &RunPlan) -> Result<Tracker<'static>, RunError> {
     };
     let mut settings = plan.settings.tracking.tracker;
     settings.motion.reverse_allowed |= plan.may_reverse;
-    let Some(mounting) = plan.mounting else {
-        return Err(RunError::Run("setting up the tracker: nothing is known of the camera's mounting".to_owned()));
-    };
-    Tracker::new(plan.camera, mounting, settings, kilogs_core::features::SimdLevel::new(), plan.seed, storage)
-        .map_err(|e| RunError::Run(format!("setting up the tracker: {e}")))
+    Tracker::new(
+        plan.camera,
+        plan.tracker_mounting()?,
+        settings,
+        kilogs_core::features::SimdLevel::new(),
+        plan.seed,
+        storage,
+    )
+    .map_err(|e| RunError::Run(format!("setting up the tracker: {e}")))
 }
 
 /// A place for a point of a keyframe.

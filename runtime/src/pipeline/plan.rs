@@ -28,6 +28,10 @@ pub enum Pace {
     Live,
 }
 
+/// What the tracker goes by where given poses tell the scale: a level camera at the height of a car's mirror.
+const ASSUMED_MOUNTING: Mounting =
+    Mounting { height_m: 1.4, pitch_rad: 0.0, roll_rad: 0.0, forward_axis: [0.0, 0.0, 1.0], lever_arm_m: [0.0; 3] };
+
 /// What a run is going to do.
 #[derive(Debug, Clone)]
 pub struct RunPlan {
@@ -77,13 +81,6 @@ impl RunPlan {
     pub fn new(args: &CommonArgs, format: SourceFormat, pace: Pace, out: &Path) -> Result<Self, RunError> {
         let settings = mapping_settings(args, &format)?;
         let budget = args.budget()?;
-        if format.mounting.is_none() {
-            return Err(RunError::Usage(
-                "planning the run: the camera's height over the road is unknown, and with it the scale; \
-                 give --camera kitti, or a camera.toml with height_m"
-                    .to_owned(),
-            ));
-        }
         let training_resolution = settings.mapping.mapper.resolution;
         Self::of_parts(args, format, pace, out, (settings, budget, training_resolution))
     }
@@ -170,6 +167,21 @@ impl RunPlan {
             n_threads: args.n_threads(pace == Pace::Live),
             compute,
             command,
+        })
+    }
+
+    /// How the tracker takes the camera to sit on the vehicle.
+    ///
+    /// # Errors
+    /// [`RunError::Usage`] when neither the camera's height nor given poses tell the scale.
+    pub fn tracker_mounting(&self) -> Result<Mounting, RunError> {
+        let assumed = self.given_poses.as_ref().map(|_| ASSUMED_MOUNTING);
+        self.mounting.or(assumed).ok_or_else(|| {
+            RunError::Usage(
+                "planning the run: the camera's height over the road is unknown, and with it the scale; \
+                 give --camera kitti, or a camera.toml with height_m"
+                    .to_owned(),
+            )
         })
     }
 

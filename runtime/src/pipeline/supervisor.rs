@@ -44,6 +44,7 @@ pub fn supervise(
     start_camera: impl FnOnce() -> Result<Option<CameraChild>, InputError>,
 ) -> Result<(), RunError> {
     let started = Instant::now();
+    plan.tracker_mounting()?;
     seal::prefault_pools();
     if std::env::var_os(TRACE_VARIABLE).is_some() {
         seal::trace_next_violation();

@@ -91,6 +91,8 @@ fn training_helps_and_gives_the_same_bytes_again() {
     assert!(!path("little/eval.json").exists(), "it is of the map before");
     let refined_db = number(&json(&path("little/report.json")), "/mapping/psnr_heldout_db");
     assert!(refined_db > little_db, "{refined_db} dB, {little_db} dB before");
+    let page = std::fs::read_to_string(path("little/report.html")).expect("a page");
+    assert!(page.contains(&format!("held out {refined_db:.2} dB")) && page.contains("<h2>Camera and map</h2>"));
     kilogs_succeeds(["eval", &run, "--gt", &truth]);
     assert_eq!(number(&json(&path("little/eval.json")), "/psnr_heldout_db"), refined_db);
     let views = std::fs::read_to_string(path("little/views.csv")).expect("a table");
@@ -167,4 +169,12 @@ fn a_replay_maps_with_given_poses() {
     let report = json(&out.path().join("run/report.json"));
     assert_eq!(report.pointer("/tracking/scale_source").and_then(|name| name.as_str()), Some("given_poses"));
     assert!(count(&report, "/frames/keyframes") > 2, "{report}");
+
+    // Given poses tell the scale, so the camera's height need not be known.
+    std::fs::remove_file(drive.file("camera.toml")).expect("it was there");
+    let unknown_height = word(&out.path().join("unknown_height"));
+    kilogs_succeeds(["replay", &dataset, "--out", &unknown_height, "--iterations", "2", "--poses", &poses]);
+    let other = json(&out.path().join("unknown_height/report.json"));
+    let [known_db, unknown_db] = [&report, &other].map(|report| number(report, "/mapping/psnr_train_db"));
+    assert!(unknown_db > known_db - 0.5, "{known_db} dB, {unknown_db} dB with unknown height");
 }
