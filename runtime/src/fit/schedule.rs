@@ -10,6 +10,16 @@ const COARSE_UNTIL: f64 = 0.2;
 /// Progress at which the map is pruned, and bare and wrong places are inserted once more.
 pub(super) const REVISITS: [f64; 2] = [0.2, 0.5];
 
+/// Share of the effort at which a section ends that trains `n_trained` views, of which `n_kept` are trained with the
+/// next section's too, when `spent` is spent and `n_left` views are to come. Every view of a section gets the same
+/// number of steps there, so a section of few new views needs as much as one of many.
+pub(super) fn section_ends(spent: f64, (n_trained, n_kept): (usize, usize), n_left: usize) -> f64 {
+    let n_new = n_trained.saturating_sub(n_kept).max(1);
+    let n_more_sections = n_left.div_ceil(n_new);
+    let n_to_train = n_left + n_more_sections * n_kept;
+    spent + (1.0 - spent) * n_trained as f64 / (n_trained + n_to_train).max(1) as f64
+}
+
 /// Training resolution at a progress in [0, 1]; `coarse` is that of the insertion.
 pub(super) fn resolution(progress: f64, coarse: f64) -> f64 {
     if progress < COARSE_UNTIL { coarse } else { 1.0 }
@@ -50,6 +60,21 @@ mod tests {
         let rate = |progress: f64| step(&mapper, progress).rates.log_scale.at(step(&mapper, progress).progress);
         let ratio = |progress: f64| rate(progress) / mapper.rates.log_scale.start;
         assert!((ratio(0.0) - 2.0).abs() < 1e-4 && (ratio(1.0) - 0.6).abs() < 1e-4, "{} {}", ratio(0.0), ratio(1.0));
+    }
+
+    #[test]
+    fn every_section_gets_as_much_as_it_trains_views() {
+        assert_eq!(section_ends(0.25, (80, 40), 0), 1.0);
+        // A last section of 20 views trains 40 of this one again.
+        assert_eq!(section_ends(0.0, (60, 40), 20), 0.5);
+        // Sections of 80 views each, 40 of them new.
+        let (mut ends, mut shares) = (0.0, Vec::new());
+        for n_left in [120, 80, 40, 0] {
+            let begins = ends;
+            ends = section_ends(begins, (80, 40), n_left);
+            shares.push(ends - begins);
+        }
+        assert!(shares.iter().all(|share| (share - 0.25).abs() < 1e-12), "{shares:?}");
     }
 
     #[test]

@@ -81,7 +81,10 @@ impl Trainer<'_> {
                 > SECTION_FILL * self.mapper.capacity().anchors as f64
                 || active.len() >= self.max_active;
             if is_full {
-                let section_ends = (view_idx + 1) as f64 / self.views.len() as f64;
+                let n_kept = (active.len() as f64 * FILL_AFTER_SECTION / SECTION_FILL) as usize;
+                let spent = self.clock.progress(self.n_steps);
+                let section_ends =
+                    schedule::section_ends(spent, (active.len(), n_kept), self.views.len() - view_idx - 1);
                 self.train_section(&active, (section_begins, section_ends))?;
                 self.store_chunks(&active);
                 section_begins = section_ends;
