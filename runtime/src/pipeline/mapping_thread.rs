@@ -90,6 +90,10 @@ pub fn prepare(
     alignment: &SharedAlignment,
 ) -> Result<Option<(MapperLink, MappingWork)>, RunError> {
     if !plan.settings.mapping.enabled {
+        let of_before = plan.out.join("map");
+        if of_before.exists() {
+            log::warn!("mapping is off: {} is of an earlier run and is left as it is", of_before.display());
+        }
         return Ok(None);
     }
     let mut mapper = memory::mapper(plan)?;
