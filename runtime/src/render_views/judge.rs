@@ -143,9 +143,7 @@ impl Comparison {
             return self.meter.judge(picture.rgb().as_flattened(), camera.as_raw().as_slice());
         }
         self.grey_render.clear();
-        // Clamped channel by channel first, as a display would do before anybody sees a grey.
-        let grey = |rgb: &[f32; 3]| rgb.iter().map(|channel| channel.clamp(0.0, 1.0)).sum::<f32>() / 3.0;
-        self.grey_render.extend(picture.rgb().iter().map(grey));
+        self.grey_render.extend(picture.shown(true).map(|[grey, ..]| grey));
         self.grey_camera.clear();
         self.grey_camera.extend(camera.pixels().map(|pixel| pixel.0[1]));
         self.meter.judge(&self.grey_render, &self.grey_camera)

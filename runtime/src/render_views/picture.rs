@@ -30,6 +30,13 @@ impl Picture {
         &self.rgb
     }
 
+    /// Colors row by row as a display shows them, in [0, 1]: those of a grey camera's map are the mean of the channels.
+    pub fn shown(&self, is_grey: bool) -> impl Iterator<Item = [f32; 3]> {
+        // Clamped channel by channel first, as a display would do before anybody sees a grey.
+        let clamped = self.rgb.iter().map(|rgb| rgb.map(|channel| channel.clamp(0.0, 1.0)));
+        clamped.map(move |rgb| if is_grey { [rgb.iter().sum::<f32>() / 3.0; 3] } else { rgb })
+    }
+
     /// Where a backend puts it.
     pub fn target(&mut self) -> RenderTarget<'_> {
         RenderTarget { rgb: &mut self.rgb, depth_m: &mut self.depth_m, transmittance: &mut self.transmittance }
@@ -48,6 +55,14 @@ impl Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_grey_is_the_mean_of_what_is_seen() {
+        let mut picture = Picture::new(2, 1);
+        picture.target().rgb[1] = [-0.5, 0.5, 1.5];
+        assert_eq!(picture.shown(false).collect::<Vec<_>>(), [[0.0; 3], [0.0, 0.5, 1.0]]);
+        assert_eq!(picture.shown(true).collect::<Vec<_>>(), [[0.0; 3], [0.5; 3]]);
+    }
 
     #[test]
     fn a_display_clamps_and_rounds() {

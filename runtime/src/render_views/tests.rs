@@ -211,6 +211,26 @@ fn judging_follows_the_drive_and_tells_the_kinds_apart() {
 }
 
 #[test]
+#[cfg(feature = "inference")]
+fn a_network_compares_what_a_display_shows() {
+    // Four thirds of the mean squared difference, where the channels are alike.
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/models");
+    let networks = crate::inference::Manifest::find(&folder).expect("part of the source tree");
+    for pixel_format in [PixelFormat::Rgb8, PixelFormat::Mono8] {
+        let (_scratch, map) = scratch_map(pixel_format);
+        let mut lpips = crate::inference::open_lpips(&networks, (WIDTH as usize, HEIGHT as usize)).expect("loaded");
+        let figures = measure_lpips(&map, &mut StubBackend::new(100, 9, 2), &mut lpips).expect("measured");
+        let expected = [0.25, 0.5].map(|sky: f64| 4.0 / 3.0 * (sky - 128.0 / 255.0).powi(2));
+        let check = |found: Option<f64>, expected: f64| {
+            let found = found.expect("views of both kinds");
+            assert!((found / expected - 1.0).abs() < 0.02, "{pixel_format:?}: {found}, expected {expected}");
+        };
+        check(figures.held_out, expected[0]);
+        check(figures.train, 0.5 * (expected[0] + expected[1]));
+    }
+}
+
+#[test]
 fn a_view_without_its_image_is_skipped_and_counted() {
     let (scratch, map) = scratch_map(PixelFormat::Rgb8);
     std::fs::write(scratch.path().join("images/00000008.jpg"), b"not any more").expect("written");

@@ -167,6 +167,9 @@ pub enum RenderError {
     /// The trajectory could not be read.
     #[error(transparent)]
     Trajectory(#[from] kilogs_eval::command::EvalError),
+    /// The network that compares pictures failed.
+    #[error(transparent)]
+    Network(#[from] crate::inference::ModelError),
     /// A table of views could not be written.
     #[error(transparent)]
     Table(#[from] crate::output::OutputError),
@@ -187,7 +190,7 @@ impl RenderError {
             Self::Store(_) => StoreError::EXIT_CODE,
             Self::Refused { .. } => 2,
             Self::Trajectory(_) => 3,
-            Self::Table(_) | Self::Write { .. } => 1,
+            Self::Network(_) | Self::Table(_) | Self::Write { .. } => 1,
         }
     }
 }

@@ -102,8 +102,17 @@ fn training_helps_and_gives_the_same_bytes_again() {
         .filter(|row| row[3] == "1")
         .map(|row| row[5].parse().expect("a number"))
         .collect();
-    let mean_db = held_out.iter().sum::<f64>() / held_out.len() as f64;
+    let mean_of = |value: fn(f64) -> f64| held_out.iter().copied().map(value).sum::<f64>() / held_out.len() as f64;
+    let mean_db = mean_of(|db| db);
     assert!((mean_db - refined_db).abs() < 0.01, "{mean_db} dB in the table, {refined_db} dB in the report");
+
+    // A network that says what the PSNR says.
+    let models = word(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/models"));
+    kilogs_succeeds(["eval", &run, "--gt", &truth, "--set", &format!("inference.models={models}")]);
+    let judged = json(&path("little/eval.json"));
+    let (lpips, expected) = (number(&judged, "/lpips_heldout"), mean_of(|db| 10_f64.powf(-db / 10.0)));
+    assert!((lpips / expected - 1.0).abs() < 1e-3, "{lpips}, expected {expected}");
+    assert!(number(&judged, "/lpips_train") > 0.0);
 }
 
 #[test]

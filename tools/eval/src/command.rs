@@ -14,7 +14,10 @@ use std::path::{Path, PathBuf};
 
 /// Arguments of `kilogs eval`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example: kilogs eval out/04 --gt ../shared/data/kitti04-full/poses.txt")]
+#[command(
+    after_help = "Example: kilogs eval out/04 --gt ../shared/data/kitti04-full/poses.txt\n\nLPIPS is measured where \
+                  models/ has a network for it, see models/README.md; all other options are for drawing the map then."
+)]
 pub struct EvalArgs {
     /// Output folder of a run (trajectory_tum.txt, frames.csv, report.json).
     pub dir: PathBuf,
@@ -112,10 +115,19 @@ pub struct EvalFile {
     pub ssim_train: Option<f64>,
     /// From the run's report: frames that mapping never saw.
     pub ssim_heldout: Option<f64>,
-    /// Not measured: needs a network.
+    /// LPIPS of the training keyframes: [`LpipsFigures::train`].
     pub lpips_train: Option<f64>,
-    /// Not measured: needs a network.
+    /// LPIPS of frames that mapping never saw: [`LpipsFigures::held_out`].
     pub lpips_heldout: Option<f64>,
+}
+
+/// How different the map looks from the camera's images to a network; 0 is alike. Unknown where none is installed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LpipsFigures {
+    /// Mean over the training keyframes.
+    pub train: Option<f64>,
+    /// Mean over the frames that mapping never saw.
+    pub held_out: Option<f64>,
 }
 
 /// Everything that was found out about a run.
@@ -143,12 +155,15 @@ pub struct Judgement {
     pub file: EvalFile,
 }
 
-/// Judges the folder, writes `eval.json` and prints a table on stdout.
+/// Judges the folder, writes `eval.json` and prints a table on stdout. `measure_lpips` is asked once all else is known, for
+/// it takes its time.
 ///
 /// # Errors
 /// [`EvalError`] when a file is missing or wrong, or nothing can be compared.
-pub fn run(args: &EvalArgs) -> Result<(), EvalError> {
-    let judgement = judge(&args.dir, &args.gt, args.dataset.as_deref())?;
+pub fn run(args: &EvalArgs, measure_lpips: impl FnOnce() -> LpipsFigures) -> Result<(), EvalError> {
+    let mut judgement = judge(&args.dir, &args.gt, args.dataset.as_deref())?;
+    let lpips = measure_lpips();
+    (judgement.file.lpips_train, judgement.file.lpips_heldout) = (lpips.train, lpips.held_out);
     let path = args.dir.join("eval.json");
     let written = crate::replace_json(&path, &judgement.file);
     written.map_err(|source| EvalError::Unwritable { path: path.clone(), source })?;
@@ -306,6 +321,8 @@ impl Judgement {
         row("PSNR held-out frames", self.file.psnr_heldout_db, "dB");
         row("SSIM training keyframes", self.file.ssim_train, "");
         row("SSIM held-out frames", self.file.ssim_heldout, "");
+        row("LPIPS training keyframes", self.file.lpips_train, "");
+        row("LPIPS held-out frames", self.file.lpips_heldout, "");
         table
     }
 }

@@ -21,6 +21,6 @@ pub mod stdout;
 
 mod json_file;
 
-pub use command::{EvalArgs, EvalError, run};
+pub use command::{EvalArgs, EvalError, LpipsFigures, run};
 pub use image_quality::{ImageQuality, ImageQualityMeter};
 pub use json_file::replace_json;

@@ -1,6 +1,6 @@
 //! `kilogs eval` on small output folders: which pose meets which truth, and what stands in `eval.json`.
 
-use kilogs_eval::command::{EvalArgs, EvalError, judge, run};
+use kilogs_eval::command::{EvalArgs, EvalError, LpipsFigures, judge, run};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -84,7 +84,7 @@ fn eval_json_has_exactly_the_keys_of_the_contract() {
     let report = r#"{"mapping": {"psnr_train_db": 17.5, "ssim_train": 0.5, "psnr_heldout_db": null}}"#;
     write(folder.path(), "report.json", report.to_owned());
     let args = EvalArgs { dir: folder.path().to_owned(), gt: data.path().join("poses.txt"), dataset: None };
-    run(&args).expect("judged");
+    run(&args, || LpipsFigures { train: Some(0.25), held_out: None }).expect("judged");
     let text = std::fs::read_to_string(folder.path().join("eval.json")).expect("eval.json");
     let written: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).expect("JSON");
     let mut keys: Vec<&str> = KEYS.split(", ").collect();
@@ -92,8 +92,8 @@ fn eval_json_has_exactly_the_keys_of_the_contract() {
     keys.sort_unstable();
     found.sort_unstable();
     assert_eq!(found, keys);
-    assert_eq!(written["psnr_train_db"].as_f64(), Some(17.5));
-    for unknown in ["psnr_heldout_db", "ssim_heldout", "lpips_train", "segment_translation_percent"] {
+    assert_eq!((written["psnr_train_db"].as_f64(), written["lpips_train"].as_f64()), (Some(17.5), Some(0.25)));
+    for unknown in ["psnr_heldout_db", "ssim_heldout", "lpips_heldout", "segment_translation_percent"] {
         assert!(written[unknown].is_null(), "{unknown} is {}", written[unknown]);
     }
 }

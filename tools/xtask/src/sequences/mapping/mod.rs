@@ -120,9 +120,11 @@ impl Runs<'_> {
     fn figures(&self, drive: &Drive<'_>, row: &Drive<'_>) -> Result<Figures, StepFailed> {
         let driven = self.folder(drive, "drive");
         let report = read_json(&driven.join("report.json"))?;
+        // A recording without truth is not judged.
+        let judged = read_json(&driven.join("eval.json")).unwrap_or_default();
         let n_keyframes = report["frames"]["keyframes"].as_u64().unwrap_or_default();
         if self.args.refine == 0 {
-            return Ok(Figures::new(report, ""));
+            return Ok(Figures::new(report, judged, ""));
         }
         let refined = self.folder(row, "refined");
         let _ = std::fs::remove_dir_all(&refined);
@@ -133,7 +135,7 @@ impl Runs<'_> {
         words.push(format!("--views={}", refined.join("views.csv").display()));
         words.extend(row.arm.mapping.iter().chain(row.arm.refining).map(|setting| format!("--set={setting}")));
         self.bench.kilogs(&refined, &words)?;
-        Ok(Figures::new(report, &read_text(&refined.join("said.txt"))?))
+        Ok(Figures::new(report, judged, &read_text(&refined.join("said.txt"))?))
     }
 
     /// What the first chunk of a drive scored when it was finished, and after the drive; `None` when it never was.
@@ -207,7 +209,10 @@ mod tests {
     fn a_table_has_as_many_cells_as_headings() {
         let bars: Vec<usize> = heading().lines().map(|line| line.matches('|').count()).collect();
         assert_eq!(bars, [figures::HEADINGS.len() + 3; 2]);
-        assert_eq!(Figures::new(serde_json::Value::Null, "").cells().len(), figures::HEADINGS.len());
+        assert_eq!(
+            Figures::new(serde_json::Value::Null, serde_json::Value::Null, "").cells().len(),
+            figures::HEADINGS.len()
+        );
     }
 
     #[test]
